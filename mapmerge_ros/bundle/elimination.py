@@ -1,0 +1,73 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What elimination of everything but the shared landmarks leaves, and the way back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.bundle.linearise import Linearisation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Elimination:
+    """
+    r'r ≈ a² + |R δq + c|² for the shared points, and ds/dq (eq. 4) for the rest.
+
+    δp = pose_by_shared δq + pose_offset are the best poses for given shared points; the offset
+    is zero where the bundle is at its optimum.
+    """
+
+    a: float
+    r: Floats
+    """(3k - gauge, 3k) upper trapezoid"""
+    c: Floats
+    """(3k - gauge,)"""
+    pose_by_shared: Floats
+    """(6m, 3k)"""
+    pose_offset: Floats
+    """(6m,)"""
+    shared_rows: Ints
+    """(k,) rows of the bundle's points"""
+
+    def steps(self, lin: Linearisation, shared_steps: Floats) -> tuple[Floats, Floats]:
+        """Best pose steps (m, 6) and point steps (n, 3) when the shared points move (k, 3)."""
+        pose_steps = self.pose_by_shared @ shared_steps.ravel() + self.pose_offset
+        pose_steps = pose_steps.reshape(-1, 6)
+        point_steps = _best_points(lin, pose_steps)
+        point_steps[self.shared_rows] = shared_steps
+        return pose_steps, point_steps
+
+
+def point_information(lin: Linearisation) -> Floats:
+    """Information (n, 3, 3) of each point with the cameras held fixed [px² / map unit²]."""
+    return sum_by_point(lin, np.einsum('oij,oik->ojk', lin.by_point, lin.by_point))
+
+
+def sum_by_point(lin: Linearisation, values: Floats) -> Floats:
+    """Sum per-observation values (o, ...) over the observations of each point, (n, ...)."""
+    return _sum_by(lin.bundle.observation_points, len(lin.bundle.point_ids), values)
+
+
+def sum_by_keyframe(lin: Linearisation, values: Floats) -> Floats:
+    """Sum per-observation values (o, ...) over the observations of each key frame, (m, ...)."""
+    return _sum_by(lin.bundle.observation_keyframes, len(lin.bundle.keyframe_ids), values)
+
+
+def _sum_by(rows: Ints, count: int, values: Floats) -> Floats:
+    order = np.argsort(rows, kind='stable')
+    starts = np.searchsorted(rows[order], np.arange(count))
+    sums = np.add.reduceat(values[order], np.minimum(starts, len(order) - 1), axis=0)
+    sums[np.bincount(rows, minlength=count) == 0] = 0.0
+    return sums
+
+
+def _best_points(lin: Linearisation, pose_steps: Floats) -> Floats:
+    """Least-squares step (n, 3) of every point after the poses have moved."""
+    moved = pose_steps[lin.bundle.observation_keyframes]
+    residuals = lin.residuals_px + np.einsum('oij,oj->oi', lin.by_pose, moved)
+    gradient = sum_by_point(lin, np.einsum('oij,oi->oj', lin.by_point, residuals))
+    return -np.linalg.solve(point_information(lin), gradient[:, :, None])[:, :, 0]

@@ -1,0 +1,130 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Elimination by QR in blocks: for sessions whose normal equations are too ill-conditioned.
+
+Each point is rotated out of its own rows, the remaining rows are collected in one triangle of
+the poses, and that triangle meets the shared points: no matrix is ever squared.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+
+from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.bundle.elimination import Elimination
+from mapmerge_ros.bundle.linearise import Linearisation
+from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.geometry import gauge_basis
+from mapmerge_ros.submap import factor_root, triangulate
+
+ROWS_PER_CHUNK = 4096
+"""Rows collected before the triangle of the poses absorbs them."""
+
+
+def eliminate_by_qr(lin: Linearisation, shared_rows: Ints) -> Elimination:
+    """
+    Same result as `eliminate_by_schur`, with the condition number not squared.
+
+    Raises
+    ------
+    DegenerateGeometry
+        The shared landmarks leave a camera free, or are not determined themselves.
+
+    """
+    poses, k = 6 * len(lin.bundle.keyframe_ids), len(shared_rows)
+    is_shared = np.zeros(len(lin.bundle.point_ids), bool)
+    is_shared[shared_rows] = True
+    triangle = _Triangle(poses)
+    triangle.absorb(lin.prior_rows, np.zeros(len(lin.prior_rows)))
+    heads: dict[int, tuple[Floats, Floats, Floats]] = {}
+    for row, observations in enumerate(_observations_by_point(lin)):
+        head, (pose_rows, rest) = _rotate_point_out(lin, observations)
+        triangle.absorb(pose_rows, rest)
+        if is_shared[row]:
+            heads[row] = head
+    pose_root, pose_vector, a2 = triangle.finish()
+
+    shared_root = np.zeros((3 * k, 3 * k))
+    shared_poses, shared_vector = np.zeros((3 * k, poses)), np.zeros(3 * k)
+    for slot, row in enumerate(shared_rows):
+        at = slice(3 * slot, 3 * slot + 3)
+        shared_root[at, at], shared_poses[at], shared_vector[at] = heads[int(row)]
+    top, below = _eliminate_poses(
+        np.vstack([pose_root, shared_poses]),
+        np.vstack([np.zeros((len(pose_root), 3 * k)), shared_root]),
+        np.concatenate([pose_vector, shared_vector]),
+    )
+    r, c = factor_root(
+        below[:, :-1],
+        below[:, -1],
+        gauge_basis(lin.bundle.points[shared_rows], lin.bundle.gauge),
+    )
+    a2 += float(below[:, -1] @ below[:, -1]) - float(c @ c)
+    return Elimination(
+        float(np.sqrt(max(a2, 0.0))), r, c, -top[:, :-1], -top[:, -1], shared_rows
+    )
+
+
+def _observations_by_point(lin: Linearisation) -> list[Ints]:
+    rows = lin.bundle.observation_points
+    order = np.argsort(rows, kind='stable')
+    return np.split(order, np.cumsum(np.bincount(rows))[:-1])
+
+
+def _rotate_point_out(
+    lin: Linearisation, observations: Ints
+) -> tuple[tuple[Floats, Floats, Floats], tuple[Floats, Floats]]:
+    """QR of a point's columns: three rows that hold it, and the rows that are free of it."""
+    keyframes = lin.bundle.observation_keyframes[observations]
+    rows = np.zeros((len(observations), 2, len(lin.bundle.keyframe_ids), 6))
+    rows[np.arange(len(observations)), :, keyframes, :] = lin.by_pose[observations]
+    rows = rows.reshape(2 * len(observations), -1)
+    rotation, root = np.linalg.qr(lin.by_point[observations].reshape(-1, 3), mode='complete')
+    rows = rotation.T @ rows
+    residuals = rotation.T @ lin.residuals_px[observations].ravel()
+    return (root[:3], rows[:3], residuals[:3]), (rows[3:], residuals[3:])
+
+
+def _eliminate_poses(
+    by_pose: Floats, by_shared: Floats, vector: Floats
+) -> tuple[Floats, Floats]:
+    """Pose steps as a function of [shared | 1], and the rows [shared | 1] free of the poses."""
+    rotation, root = np.linalg.qr(by_pose, mode='complete')
+    count = by_pose.shape[1]
+    pivots = np.abs(np.diag(root[:count]))
+    if len(root) < count or pivots.min() <= 1e-14 * pivots.max():
+        raise DegenerateGeometry('the shared landmarks do not hold all cameras: share more')
+    rest = rotation.T @ np.column_stack([by_shared, vector])
+    return scipy.linalg.solve_triangular(root[:count], rest[:count]), rest[count:]
+
+
+class _Triangle:
+    """Triangle of the poses that absorbs rows in chunks."""
+
+    def __init__(self, columns: int) -> None:
+        self._columns = columns
+        self._rows: list[Floats] = []
+        self._vectors: list[Floats] = []
+        self._pending = 0
+        self._left_over = 0.0
+
+    def absorb(self, rows: Floats, vector: Floats) -> None:
+        self._rows.append(rows)
+        self._vectors.append(vector)
+        self._pending += len(rows)
+        if self._pending > ROWS_PER_CHUNK:
+            self._reduce()
+
+    def finish(self) -> tuple[Floats, Floats, float]:
+        """Triangle, its right-hand side, and the sum of squares that no pose can explain."""
+        self._reduce()
+        return self._rows[0], self._vectors[0], self._left_over
+
+    def _reduce(self) -> None:
+        rows, vector = np.vstack(self._rows), np.concatenate(self._vectors)
+        total = float(vector @ vector)
+        triangle, rotated = triangulate(rows, vector)
+        self._left_over += max(total - float(rotated @ rotated), 0.0)
+        self._rows, self._vectors, self._pending = [triangle], [rotated], len(triangle)

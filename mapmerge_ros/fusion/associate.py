@@ -1,0 +1,69 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Which landmarks of which sub-maps are the same physical point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+
+from mapmerge_ros.arrays import Ints
+from mapmerge_ros.submap import SubMap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Association:
+    """Tracks: one per physical landmark, with at most one member in each sub-map."""
+
+    tracks: tuple[Ints, ...]
+    """Per sub-map the track (m_k,) of each compressed landmark"""
+    count: int
+
+    @property
+    def views(self) -> Ints:
+        """(count,) sub-maps in which each track has a member."""
+        return np.bincount(np.concatenate(self.tracks), minlength=self.count)
+
+    def shared_counts(self) -> Ints:
+        """(maps, maps) number of tracks common to two sub-maps, their own size on the diagonal."""
+        lengths = [len(track) for track in self.tracks]
+        rows = np.repeat(np.arange(len(self.tracks)), lengths)
+        columns = np.concatenate(self.tracks)
+        membership = scipy.sparse.csr_array(
+            (np.ones(len(rows), np.int64), (rows, columns)), shape=(len(lengths), self.count)
+        )
+        return np.asarray((membership @ membership.T).toarray())
+
+    def restricted(self, maps: Sequence[int]) -> Association:
+        """Return the tracks of some sub-maps only, renumbered without gaps."""
+        kept = [self.tracks[k] for k in maps]
+        used, inverse = np.unique(np.concatenate(kept), return_inverse=True)
+        ends = np.cumsum([len(track) for track in kept])[:-1]
+        return Association(tuple(np.split(inverse, ends)), len(used))
+
+
+def associate_by_id(submaps: Sequence[SubMap]) -> Association:
+    """
+    Landmarks of equal id in the same non-empty id space are one track; all others are alone.
+
+    The numbering follows (id space, id), then the order of the sub-maps.
+    """
+    spaces = sorted({submap.id_space for submap in submaps if submap.id_space})
+    tracks: list[Ints] = [np.zeros(0, np.int64) for _ in submaps]
+    count = 0
+    for space in spaces:
+        members = [k for k, submap in enumerate(submaps) if submap.id_space == space]
+        ids = np.concatenate([submaps[k].compressed_ids for k in members])
+        unique, inverse = np.unique(ids, return_inverse=True)
+        ends = np.cumsum([submaps[k].compressed_count for k in members])[:-1]
+        for k, part in zip(members, np.split(inverse.ravel(), ends), strict=True):
+            tracks[k] = count + part.astype(np.int64)
+        count += len(unique)
+    for k, submap in enumerate(submaps):
+        if not submap.id_space:
+            tracks[k] = count + np.arange(submap.compressed_count)
+            count += submap.compressed_count
+    return Association(tuple(tracks), count)

@@ -1,0 +1,55 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Every threshold of the fusion, in one immutable place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mapmerge_ros.errors import InvalidValue
+
+
+@dataclass(frozen=True, slots=True)
+class FusionConfig:
+    """Settings of the engine; the defaults suit four drones as well as sixty."""
+
+    map_id: str = 'fusion/global'
+    """map_id of the map that comes out; a map of this name is never taken in."""
+    global_frame: str = 'global'
+    """frame_id of the map that comes out."""
+    min_shared: int = 4
+    """
+    Landmarks that two sub-maps must share to be joined directly.
+
+    Three points fit a similarity up to 2 degrees of freedom whatever they are; the fourth
+    makes the join testable.
+    """
+    significance: float = 0.01
+    """The merge is not believed below this p-value (the paper takes the 99th percentile)."""
+    max_iterations: int = 50
+    """Gauss-Newton steps; 5 to 12 are usual."""
+    relative_decrease: float = 1e-14
+    """Converged when a step promises less than this share of the cost."""
+    max_landmarks: int = 500
+    """
+    Landmarks that the outgoing map stays compressed to; R is quadratic in it (4.5 MB here).
+
+    Those beyond are eliminated exactly and go on as catalogue.
+    """
+    catalogue: bool = True
+    """Whether the outgoing map carries position and descriptor of all other landmarks."""
+
+    def __post_init__(self) -> None:
+        if not self.map_id:
+            raise InvalidValue('map_id: empty')
+        if not self.global_frame:
+            raise InvalidValue('global_frame: empty')
+        for name, low in (('min_shared', 3), ('max_iterations', 1), ('max_landmarks', 3)):
+            if getattr(self, name) < low:
+                raise InvalidValue(f'{name}: {getattr(self, name)} is below {low}')
+        if not 0.0 < self.significance < 1.0:
+            raise InvalidValue(f'significance: {self.significance} is not between 0 and 1')
+        if not 0.0 < self.relative_decrease < 1.0:
+            raise InvalidValue(
+                f'relative_decrease: {self.relative_decrease} is not between 0 and 1'
+            )

@@ -1,0 +1,140 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The joint merge: all landmarks and all frames at once (eq. 9, with c and weights).
+
+With the gauge as a hard constraint every T_k is a closed-form function of the landmarks, so
+that only the shared landmarks are iterated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.element import Element
+from mapmerge_ros.geometry import Gauge, Similarity, gauge_basis
+
+FIRST_DAMPING, DAMPING_STEP, MAX_DAMPING = 1e-6, 10.0, 1e6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Shared landmarks at the optimum, with the evidence of how they were reached."""
+
+    points: Floats
+    """(tracks, 3) global frame"""
+    transforms: tuple[Similarity, ...]
+    """S_map_global of each element"""
+    cost: float
+    """ã: price of merging, px²"""
+    iterations: int
+    converged: bool
+    history: tuple[float, ...]
+    """Cost before each step"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    points: Floats
+    transforms: tuple[Similarity, ...]
+    cost: float
+
+
+def merge(
+    elements: Sequence[Element], points: Floats, gauge: Gauge, config: FusionConfig
+) -> Estimate:
+    """
+    Minimise the sum of the elements over the global landmarks, from `points` (tracks, 3).
+
+    Gauss-Newton with the exact element; damped (Levenberg-Marquardt) only where a step does
+    not lower the cost. `gauge` is that of the result: the smallest among the elements.
+
+    Raises
+    ------
+    DegenerateGeometry
+        The landmarks are not determined by the elements together.
+
+    """
+    state = _evaluate(elements, points)
+    history = [state.cost]
+    for iteration in range(1, config.max_iterations + 1):
+        matrix, gradient = assemble(elements, state.points, state.transforms)
+        state, promised = _step(elements, state, matrix, gradient, gauge)
+        history.append(state.cost)
+        if promised <= config.relative_decrease * max(state.cost, np.finfo(float).tiny):
+            return _finish(state, iteration, True, history)
+    return _finish(state, config.max_iterations, False, history)
+
+
+def assemble(
+    elements: Sequence[Element], points: Floats, transforms: Sequence[Similarity]
+) -> tuple[Floats, Floats]:
+    """Gauss-Newton matrix (3n, 3n) and gradient (3n,) of all elements."""
+    size = points.size
+    matrix, gradient = np.zeros((size, size)), np.zeros(size)
+    for element, S_map_global in zip(elements, transforms, strict=True):
+        own_matrix, own_gradient = element.derivatives(points, S_map_global)
+        at = coordinates(element.tracks)
+        matrix[np.ix_(at, at)] += own_matrix
+        gradient[at] += own_gradient
+    return matrix, gradient
+
+
+def coordinates(rows: Ints) -> Ints:
+    """Rows (n,) of points to the rows (3n,) of their coordinates."""
+    return (3 * rows[:, None] + np.arange(3)).ravel()
+
+
+def _evaluate(elements: Sequence[Element], points: Floats) -> _State:
+    transforms = tuple(element.place(points) for element in elements)
+    residuals = [
+        element.residuals(points, S_map_global)
+        for element, S_map_global in zip(elements, transforms, strict=True)
+    ]
+    return _State(points, transforms, float(sum(e @ e for e in residuals)))
+
+
+def _step(
+    elements: Sequence[Element],
+    state: _State,
+    matrix: Floats,
+    gradient: Floats,
+    gauge: Gauge,
+) -> tuple[_State, float]:
+    """Return the next state and the decrease that the step promised; the same state if none."""
+    null = gauge_basis(state.points, gauge)
+    diagonal = np.diag(matrix).copy()
+    fixed = matrix + diagonal.mean() * null @ null.T
+    damping = 0.0
+    while damping <= MAX_DAMPING:
+        try:
+            factor = scipy.linalg.cho_factor(
+                fixed + np.diag(damping * diagonal), check_finite=False
+            )
+        except np.linalg.LinAlgError:
+            damping = max(FIRST_DAMPING, damping * DAMPING_STEP)
+            continue
+        step = -scipy.linalg.cho_solve(factor, gradient, check_finite=False)
+        promised = -float(gradient @ step)
+        trial = _evaluate(elements, state.points + step.reshape(-1, 3))
+        if trial.cost <= state.cost:
+            return trial, promised
+        if promised <= 1e-12 * state.cost:
+            return state, 0.0  # what is left is rounding
+        damping = max(FIRST_DAMPING, damping * DAMPING_STEP)
+    if not np.isfinite(diagonal).all() or (diagonal <= 0.0).any():
+        raise DegenerateGeometry('a shared landmark is not determined by the sub-maps together')
+    return state, 0.0
+
+
+def _finish(state: _State, iterations: int, converged: bool, history: list[float]) -> Estimate:
+    return Estimate(
+        state.points, state.transforms, state.cost, iterations, converged, tuple(history)
+    )

@@ -1,0 +1,17 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Transforms, gauges and alignment: pure mathematics."""
+
+from mapmerge_ros.geometry.alignment import Alignment, align
+from mapmerge_ros.geometry.gauge import Gauge, gauge_basis, generators
+from mapmerge_ros.geometry.similarity import Similarity, skew
+
+__all__ = [
+    'Alignment',
+    'Gauge',
+    'Similarity',
+    'align',
+    'gauge_basis',
+    'generators',
+    'skew',
+]

@@ -1,0 +1,34 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Compressed sub-maps: immutable values."""
+
+from mapmerge_ros.submap.descriptors import Descriptors, DescriptorType
+from mapmerge_ros.submap.submap import (
+    Source,
+    SubMap,
+    symmetric_from_upper,
+    upper_from_symmetric,
+)
+from mapmerge_ros.submap.triangle import (
+    alignment_weights,
+    factor_information,
+    factor_root,
+    pack,
+    triangulate,
+    unpack,
+)
+
+__all__ = [
+    'DescriptorType',
+    'Descriptors',
+    'Source',
+    'SubMap',
+    'alignment_weights',
+    'factor_information',
+    'factor_root',
+    'pack',
+    'symmetric_from_upper',
+    'triangulate',
+    'unpack',
+    'upper_from_symmetric',
+]
