@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from mapmerge_ros.errors import InvalidValue
 
-Floats = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.floating[Any]]
 Ints = npt.NDArray[np.int64]
 Ids = npt.NDArray[np.uint64]
 Bytes = npt.NDArray[np.uint8]

@@ -126,7 +126,7 @@ class Bundle:
         views = np.bincount(self.observation_points, minlength=len(self.point_ids))
         if (views < 2).any():
             bad = self.point_ids[int(np.argmin(views))]
-            raise InvalidValue(f'observations_px: point {bad} is seen in fewer than two key frames')
+            raise InvalidValue(f'observations_px: point {bad} has fewer than two key frames')
         pairs = self.observation_points * len(self.keyframe_ids) + self.observation_keyframes
         if len(np.unique(pairs)) != len(pairs):
             raise InvalidValue('observations_px: a point is observed twice in one key frame')
@@ -148,12 +148,17 @@ class Bundle:
     def points_camera(self) -> Floats:
         """Observed points (o, 3) in the frame of the observing camera."""
         rotations = self.rotations_camera_map[self.observation_keyframes]
-        turned = np.einsum('oij,oj->oi', rotations, self.points[self.observation_points])
+        turned: Floats = np.einsum(
+            'oij,oj->oi', rotations, self.points[self.observation_points]
+        )
         return turned + self.translations_camera_map[self.observation_keyframes]
 
     def centres_map(self) -> Floats:
         """Camera centres (m, 3) in the map frame."""
-        return -np.einsum('mji,mj->mi', self.rotations_camera_map, self.translations_camera_map)
+        offsets: Floats = np.einsum(
+            'mji,mj->mi', self.rotations_camera_map, self.translations_camera_map
+        )
+        return -offsets
 
     def moved(self, pose_steps: Floats, point_steps: Floats) -> Bundle:
         """Apply local steps: poses (m, 6) rotation vector [rad] and translation, points (n, 3)."""

@@ -83,12 +83,8 @@ def compress(
     """
     Compress a bundle to the given landmarks; the other points travel as catalogue.
 
-    Parameters
-    ----------
-    landmark_ids
-        (m,) ids of the bundle's points that the sub-map is to be about; none = announcement.
-    catalogue
-        Whether position and descriptor of the other points are sent too.
+    `landmark_ids` (m,) are the bundle's points that R is to be about; none makes a bare
+    announcement. `catalogue` says whether position and descriptor of the others go along.
 
     Raises
     ------

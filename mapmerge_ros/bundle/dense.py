@@ -11,7 +11,7 @@ from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.bundle.elimination import Elimination
 from mapmerge_ros.bundle.linearise import Linearisation
 from mapmerge_ros.geometry import gauge_basis
-from mapmerge_ros.submap import factor_root
+from mapmerge_ros.submap import factor_root, upper_qr
 
 
 def eliminate_densely(lin: Linearisation, shared_rows: Ints) -> Elimination:
@@ -22,7 +22,7 @@ def eliminate_densely(lin: Linearisation, shared_rows: Ints) -> Elimination:
     jacobian, residuals = dense_jacobian(lin)
     columns = (np.concatenate([private_rows, shared_rows])[:, None] * 3 + [0, 1, 2]).ravel()
     ordered = np.hstack([jacobian[:, :poses], jacobian[:, poses + columns]])
-    r = np.linalg.qr(np.column_stack([ordered, residuals]), mode='r')
+    r = upper_qr(np.column_stack([ordered, residuals]))
     eliminated = poses + 3 * len(private_rows)
     total = eliminated + 3 * len(shared_rows)
     back = scipy.linalg.solve_triangular(r[:eliminated, :eliminated], r[:eliminated, eliminated:])

@@ -70,4 +70,5 @@ def _best_points(lin: Linearisation, pose_steps: Floats) -> Floats:
     moved = pose_steps[lin.bundle.observation_keyframes]
     residuals = lin.residuals_px + np.einsum('oij,oj->oi', lin.by_pose, moved)
     gradient = sum_by_point(lin, np.einsum('oij,oi->oj', lin.by_point, residuals))
-    return -np.linalg.solve(point_information(lin), gradient[:, :, None])[:, :, 0]
+    steps: Floats = np.linalg.solve(point_information(lin), -gradient[:, :, None])[:, :, 0]
+    return steps

@@ -29,7 +29,7 @@ class Linearisation:
 
     @property
     def cost_px2(self) -> float:
-        """r'r"""
+        """R'r"""
         return float(np.sum(self.residuals_px**2))
 
 

@@ -78,11 +78,10 @@ def _rotate_point_out(
 ) -> tuple[tuple[Floats, Floats, Floats], tuple[Floats, Floats]]:
     """QR of a point's columns: three rows that hold it, and the rows that are free of it."""
     keyframes = lin.bundle.observation_keyframes[observations]
-    rows = np.zeros((len(observations), 2, len(lin.bundle.keyframe_ids), 6))
-    rows[np.arange(len(observations)), :, keyframes, :] = lin.by_pose[observations]
-    rows = rows.reshape(2 * len(observations), -1)
+    blocks = np.zeros((len(observations), 2, len(lin.bundle.keyframe_ids), 6))
+    blocks[np.arange(len(observations)), :, keyframes, :] = lin.by_pose[observations]
     rotation, root = np.linalg.qr(lin.by_point[observations].reshape(-1, 3), mode='complete')
-    rows = rotation.T @ rows
+    rows = rotation.T @ blocks.reshape(2 * len(observations), -1)
     residuals = rotation.T @ lin.residuals_px[observations].ravel()
     return (root[:3], rows[:3], residuals[:3]), (rows[3:], residuals[3:])
 

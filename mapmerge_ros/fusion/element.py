@@ -34,7 +34,9 @@ class Element:
     points_map: Floats
     """(s, 3) working point q°"""
     weights: Floats
-    """(s,) of the alignment; zero for a landmark that no other sub-map has"""
+    """(s,) information of the alignment; zero for a private landmark"""
+    is_shared: Mask
+    """(s,) whether another sub-map has the landmark too"""
     information: Floats
     """(3s, 3s) R'R, made once"""
 
@@ -51,7 +53,8 @@ class Element:
             r=r,
             c=np.sqrt(weight) * submap.c,
             points_map=submap.compressed_points,
-            weights=weights / weights.sum(),
+            weights=weights,
+            is_shared=is_shared,
             information=r.T @ r,
         )
 
@@ -61,10 +64,10 @@ class Element:
 
         Their columns first in a QR: the rows below them hold for every T (exact).
         """
-        private, shared = np.flatnonzero(self.weights == 0.0), np.flatnonzero(self.weights)
+        private, shared = np.flatnonzero(~self.is_shared), np.flatnonzero(self.is_shared)
         if not len(private):
             return self
-        r, c = triangulate(self.r[:, _columns(np.concatenate([private, shared]))], self.c)
+        r, c = triangulate(self.r[:, coordinates(np.concatenate([private, shared]))], self.c)
         below = r[3 * len(private) :, 3 * len(private) :]
         return Element(
             gauge=self.gauge,
@@ -73,6 +76,7 @@ class Element:
             c=c[3 * len(private) :],
             points_map=self.points_map[shared],
             weights=self.weights[shared],
+            is_shared=self.is_shared[shared],
             information=below.T @ below,
         )
 
@@ -94,12 +98,12 @@ class Element:
 
     def recover_private(self, points: Floats) -> Floats:
         """Best global positions (p, 3) of the private landmarks for given shared ones."""
-        private = np.flatnonzero(self.weights == 0.0)
+        private = np.flatnonzero(~self.is_shared)
         S_map_global = self.place(points)
         moved = S_map_global.apply(points[self.tracks]) - self.points_map
         moved[private] = 0.0
         gradient = self.r.T @ (self.r @ moved.ravel() + self.c)
-        at = _columns(private)
+        at = coordinates(private)
         steps = -scipy.linalg.solve(self.information[np.ix_(at, at)], gradient[at], assume_a='pos')
         return S_map_global.inverse().apply(self.points_map[private] + steps.reshape(-1, 3))
 
@@ -110,8 +114,7 @@ class Element:
         A step dq moves T as well, so that the constraint holds: d(T q) = P B dq with B the
         rotation and scale of T, and P = I - G (N'W G)^-1 N'W (G: generators at T q).
         """
-        projector = self._gauge_response(points, S_map_global)
-        tangent, response = projector
+        tangent, response = self._gauge_response(points, S_map_global)
         linear = S_map_global.scale * S_map_global.rotation
         gradient = self.r.T @ self.residuals(points, S_map_global)
         gradient = gradient - response.T @ (tangent.T @ gradient)
@@ -127,7 +130,7 @@ class Element:
 
         Rows of directions that the gauge does not free are zero.
         """
-        centre = self.weights @ self.points_map
+        centre = self._centre_map()
         _, response = self._gauge_response(points, S_map_global)
         linear = S_map_global.scale * S_map_global.rotation
         by_points = (response.reshape(-1, len(self.tracks), 3) @ linear).reshape(
@@ -139,23 +142,29 @@ class Element:
         tangent[order] = by_points
         centred = Similarity(1.0, np.eye(3), centre).adjoint()
         S_global_map = S_map_global.inverse()
-        # d(Tq) = B dq + G x and the constraint give x = -response B dq; T^-1 moves opposite.
-        return S_global_map.adjoint() @ centred @ tangent
+        # d(Tq) = B dq + G x and the constraint give x = -response B dq; T^-1 moves the other way.
+        derivative: Floats = S_global_map.adjoint() @ centred @ tangent
+        return derivative
+
+    def _centre_map(self) -> Floats:
+        return self.weights @ self.points_map / self.weights.sum()
 
     def _gauge_response(
         self, points: Floats, S_map_global: Similarity
     ) -> tuple[Floats, Floats]:
         """G (3s, g) at T q, and (N'W G)^-1 N'W (g, 3s): how T answers to moved points."""
-        centre = self.weights @ self.points_map
+        centre = self._centre_map()
         moved = S_map_global.apply(points[self.tracks])
         size = int(self.gauge)
         tangent = generators(moved - centre, self.gauge).reshape(-1, size)
         constraint = generators(self.points_map - centre, self.gauge) * self.weights[:, None, None]
         rows = constraint.reshape(-1, size).T
-        return tangent, np.linalg.solve(rows @ tangent, rows)
+        response: Floats = np.linalg.solve(rows @ tangent, rows)
+        return tangent, response
 
 
-def _columns(rows: Ints) -> Ints:
+def coordinates(rows: Ints) -> Ints:
+    """Rows (n,) of points to the rows (3n,) of their coordinates."""
     return (3 * rows[:, None] + np.arange(3)).ravel()
 
 

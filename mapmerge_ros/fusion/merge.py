@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.arrays import Floats
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.element import Element
+from mapmerge_ros.fusion.element import Element, coordinates
 from mapmerge_ros.geometry import Gauge, Similarity, gauge_basis
 
 FIRST_DAMPING, DAMPING_STEP, MAX_DAMPING = 1e-6, 10.0, 1e6
@@ -85,11 +85,6 @@ def assemble(
         matrix[np.ix_(at, at)] += own_matrix
         gradient[at] += own_gradient
     return matrix, gradient
-
-
-def coordinates(rows: Ints) -> Ints:
-    """Rows (n,) of points to the rows (3n,) of their coordinates."""
-    return (3 * rows[:, None] + np.arange(3)).ravel()
 
 
 def _evaluate(elements: Sequence[Element], points: Floats) -> _State:

@@ -88,7 +88,7 @@ class Similarity:
 
 
 def skew(vector: Floats) -> Floats:
-    """(..., 3) to (..., 3, 3) with skew(a) @ b = a x b."""
+    """Cross product matrix (..., 3, 3) of vectors (..., 3)."""
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     zero = np.zeros_like(x)
     rows = [zero, -z, y, z, zero, -x, -y, x, zero]

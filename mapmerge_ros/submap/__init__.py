@@ -16,6 +16,7 @@ from mapmerge_ros.submap.triangle import (
     pack,
     triangulate,
     unpack,
+    upper_qr,
 )
 
 __all__ = [
@@ -31,4 +32,5 @@ __all__ = [
     'triangulate',
     'unpack',
     'upper_from_symmetric',
+    'upper_qr',
 ]

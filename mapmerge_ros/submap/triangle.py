@@ -9,6 +9,8 @@ starting at column i. The packed form is those rows one after the other (DESIGN 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.linalg
 
@@ -40,11 +42,17 @@ def _bounds(shape: tuple[int, ...]) -> tuple[int, int, int]:
     return rows, 0, columns
 
 
+def upper_qr(matrix: Floats) -> Floats:
+    """Triangular factor of a QR decomposition, the orthogonal one never formed."""
+    factor: Any = np.linalg.qr(matrix, mode='r')
+    return np.asarray(factor, np.float64)
+
+
 def triangulate(matrix: Floats, vector: Floats) -> tuple[Floats, Floats]:
     """Upper trapezoid R and c with |matrix x + vector|² = |R x + c|² + const, by QR."""
     rows, columns = matrix.shape
     stacked = np.column_stack([matrix, vector])
-    r = np.linalg.qr(stacked, mode='r')
+    r = upper_qr(stacked)
     kept = min(rows, columns)
     return r[:kept, :columns], r[:kept, columns]
 
@@ -63,7 +71,9 @@ def alignment_weights(r: Floats) -> Floats:
     xy, xz, yz = blocks[:, 0, 1], blocks[:, 0, 2], blocks[:, 1, 2]
     minors = (xx * yy - xy**2) + (xx * zz - xz**2) + (yy * zz - yz**2)
     determinants = np.maximum(np.linalg.det(blocks), 0.0)
-    return np.divide(determinants, minors, out=np.zeros(len(blocks)), where=minors > 0.0)
+    weights = np.zeros(len(blocks))
+    np.divide(determinants, minors, out=weights, where=minors > 0.0)
+    return weights
 
 
 def factor_information(

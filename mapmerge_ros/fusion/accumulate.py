@@ -1,0 +1,70 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What has arrived: the newest revision of every sub-map, no measurement twice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from mapmerge_ros.fusion.outcome import Refusal
+from mapmerge_ros.submap import SubMap
+
+
+@dataclass(frozen=True, slots=True)
+class Receipt:
+    """Whether a sub-map was taken in, and if not, why."""
+
+    accepted: bool
+    reason: str = ''
+
+
+class Store:
+    """Newest revision of each map_id. Not thread-safe: one owner."""
+
+    def __init__(self, own_map_id: str) -> None:
+        self._own_map_id = own_map_id
+        self._submaps: dict[str, SubMap] = {}
+
+    def add(self, submap: SubMap) -> Receipt:
+        """Take a sub-map in, unless it is our own output or no newer than what is here."""
+        if submap.map_id == self._own_map_id:
+            return Receipt(False, f'{submap.map_id} is the map that this fusion publishes')
+        known = self._submaps.get(submap.map_id)
+        if known is not None and known.revision >= submap.revision:
+            return Receipt(
+                False, f'revision {submap.revision} is not newer than {known.revision}'
+            )
+        self._submaps[submap.map_id] = submap
+        return Receipt(True)
+
+    def remove(self, map_ids: Iterable[str]) -> int:
+        """Forget sub-maps; return how many were known."""
+        return sum(self._submaps.pop(map_id, None) is not None for map_id in tuple(map_ids))
+
+    def snapshot(self) -> tuple[SubMap, ...]:
+        """All sub-maps by map_id: the order of arrival leaves no trace."""
+        return tuple(self._submaps[map_id] for map_id in sorted(self._submaps))
+
+
+def without_duplicates(
+    submaps: Iterable[SubMap],
+) -> tuple[tuple[SubMap, ...], tuple[Refusal, ...]]:
+    """
+    Sub-maps without a common leaf, and those left out so that no data counts twice.
+
+    The sub-map with more leaves stays; between equals the one whose map_id comes first.
+    """
+    by_size = sorted(submaps, key=lambda submap: (-len(submap.sources), submap.map_id))
+    owners: dict[str, str] = {}
+    kept, refused = [], []
+    for submap in by_size:
+        leaves = [source.map_id for source in submap.sources]
+        twice = next((leaf for leaf in leaves if leaf in owners), None)
+        if twice is None:
+            kept.append(submap)
+            owners.update((leaf, submap.map_id) for leaf in leaves)
+        else:
+            reason = f'its data would count twice: {twice} is already inside {owners[twice]}'
+            refused.append(Refusal(submap.map_id, reason))
+    return tuple(sorted(kept, key=lambda submap: submap.map_id)), tuple(refused)

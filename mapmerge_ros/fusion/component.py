@@ -1,0 +1,241 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One connected component: align → merge → verify → compress."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mapmerge_ros.arrays import Floats, Ids, Mask
+from mapmerge_ros.fusion.associate import Association
+from mapmerge_ros.fusion.compress import Normal, most_useful, normal_equations
+from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.element import Element, coordinates
+from mapmerge_ros.fusion.initialise import initial_points
+from mapmerge_ros.fusion.merge import Estimate, merge
+from mapmerge_ros.fusion.outcome import Component, Landmarks, Verdict
+from mapmerge_ros.fusion.overlap import Link, spanning_tree
+from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue, track_ids
+from mapmerge_ros.fusion.verify import Noise, degrees_of_freedom, pool_noise, verify
+from mapmerge_ros.geometry import Gauge, Similarity
+from mapmerge_ros.submap import Source, SubMap, pack
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Merged:
+    """A component with the frames of its sub-maps."""
+
+    component: Component
+    S_global_maps: tuple[Similarity, ...]
+    covariances: tuple[Floats, ...]
+    """(7, 7) each, see `MapAlignment`"""
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """The sub-map that holds a global frame still, and where it is in there."""
+
+    map_id: str
+    S_global_map: Similarity
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solution:
+    """Every landmark and frame of the component, in the global frame."""
+
+    elements: tuple[Element, ...]
+    points: Floats
+    S_map_globals: tuple[Similarity, ...]
+    estimate: Estimate
+
+
+def merge_component(
+    submaps: Sequence[SubMap],
+    association: Association,
+    links: Sequence[Link],
+    anchor: Anchor | None,
+    config: FusionConfig,
+    revision: int,
+    stopwatch: Stopwatch,
+) -> Merged:
+    """
+    Merge sub-maps that hang together (indices of `links` refer to them).
+
+    Raises
+    ------
+    DegenerateGeometry
+        A landmark or a frame is not determined.
+
+    """
+    gauge, noise = min(submap.gauge for submap in submaps), pool_noise(submaps)
+    views = association.views
+    is_shared = views > 1 if len(submaps) > 1 else np.ones(association.count, bool)
+    anchor = anchor or choose_anchor(submaps, gauge)
+    with stopwatch.measure('merge'):
+        solution = _solve(submaps, association, is_shared, links, noise, gauge, anchor, config)
+    with stopwatch.measure('test'):
+        dof = degrees_of_freedom(views, [submap.gauge for submap in submaps], gauge)
+        verdict = verify(solution.estimate.cost, dof, noise, config)
+    with stopwatch.measure('compress'):
+        return _compress(submaps, association, solution, noise, verdict, anchor, config, revision)
+
+
+def choose_anchor(submaps: Sequence[SubMap], gauge: Gauge) -> Anchor:
+    """Return the oldest sub-map among those whose frame means most."""
+    eligible = [submap for submap in submaps if submap.gauge == gauge]
+    oldest = min(eligible, key=lambda submap: (submap.stamp_ns, submap.map_id))
+    return Anchor(oldest.map_id, Similarity.identity())
+
+
+def _solve(
+    submaps: Sequence[SubMap],
+    association: Association,
+    is_shared: Mask,
+    links: Sequence[Link],
+    noise: Noise,
+    gauge: Gauge,
+    anchor: Anchor,
+    config: FusionConfig,
+) -> _Solution:
+    elements = tuple(
+        Element.from_submap(submap, tracks, is_shared[tracks], float(weight))
+        for submap, tracks, weight in zip(
+            submaps, association.tracks, noise.weights, strict=True
+        )
+    )
+    shared = np.flatnonzero(is_shared)
+    slots = np.cumsum(is_shared) - 1
+    reduced = [
+        replace(element, tracks=slots[element.tracks])
+        for element in (element.reduced() for element in elements)
+    ]
+    centre, S_centre_maps = spanning_tree(
+        range(len(submaps)), [submap.gauge for submap in submaps], links
+    )
+    start = initial_points(reduced, S_centre_maps, centre, len(shared))
+    estimate = merge(reduced, start, gauge, config)
+
+    points = np.full((association.count, 3), np.nan)
+    points[shared] = estimate.points
+    for element in elements:
+        points[element.tracks[~element.is_shared]] = element.recover_private(points)
+    held = [submap.map_id for submap in submaps].index(anchor.map_id)
+    points = (anchor.S_global_map @ elements[held].place(points)).apply(points)
+    placed = tuple(element.place(points) for element in elements)
+    return _Solution(elements, points, placed, estimate)
+
+
+def _compress(
+    submaps: Sequence[SubMap],
+    association: Association,
+    solution: _Solution,
+    noise: Noise,
+    verdict: Verdict,
+    anchor: Anchor,
+    config: FusionConfig,
+    revision: int,
+) -> Merged:
+    normal = normal_equations(
+        solution.elements,
+        solution.points,
+        solution.S_map_globals,
+        min(submap.gauge for submap in submaps),
+    )
+    covariance = normal.covariance(noise.sigma)
+    ids = track_ids(submaps, association)
+    S_global_maps = tuple(S_map_global.inverse() for S_map_global in solution.S_map_globals)
+    catalogue = build_catalogue(submaps, S_global_maps)
+    keep = most_useful(association.views, ids, config.max_landmarks)
+    component = Component(
+        map_ids=tuple(submap.map_id for submap in submaps),
+        gauge=normal.gauge,
+        anchor=anchor.map_id,
+        submap=_global_submap(
+            submaps, normal.without(~keep), ids[keep], catalogue, noise, verdict, config, revision
+        ),
+        landmarks=_landmarks(submaps, association, ids, solution.points, covariance),
+        verdict=verdict,
+        iterations=solution.estimate.iterations,
+        converged=solution.estimate.converged,
+        cost_history=solution.estimate.history,
+    )
+    covariances = tuple(
+        _frame_covariance(element, solution.points, S_map_global, covariance)
+        for element, S_map_global in zip(
+            solution.elements, solution.S_map_globals, strict=True
+        )
+    )
+    return Merged(component, S_global_maps, covariances)
+
+
+def _frame_covariance(
+    element: Element, points: Floats, S_map_global: Similarity, covariance: Floats
+) -> Floats:
+    at = coordinates(element.tracks)
+    by_points = element.transform_by_points(points, S_map_global)
+    return np.asarray(by_points @ covariance[np.ix_(at, at)] @ by_points.T)
+
+
+def _landmarks(
+    submaps: Sequence[SubMap],
+    association: Association,
+    ids: Ids,
+    points: Floats,
+    covariance: Floats,
+) -> Landmarks:
+    rows = np.concatenate(association.tracks)
+    order = np.argsort(rows, kind='stable')
+    names = [submap.map_id for submap in submaps for _ in range(submap.compressed_count)]
+    member_ids = np.concatenate([submap.compressed_ids for submap in submaps])
+    return Landmarks(
+        ids=ids,
+        points_global=points,
+        std=np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, 3),
+        member_rows=rows[order],
+        member_maps=tuple(names[int(k)] for k in order),
+        member_ids=member_ids[order],
+    )
+
+
+def _global_submap(
+    submaps: Sequence[SubMap],
+    normal: Normal,
+    ids: Ids,
+    catalogue: Catalogue,
+    noise: Noise,
+    verdict: Verdict,
+    config: FusionConfig,
+    revision: int,
+) -> SubMap:
+    r, c = normal.triangle()
+    in_r = catalogue.rows(ids)
+    others = np.setdiff1d(np.arange(len(catalogue.ids)), in_r)
+    rows = np.concatenate([in_r, others if config.catalogue else others[:0]])
+    price = verdict.a_tilde - float(c @ c)
+    a2 = float(noise.weights @ [submap.a**2 for submap in submaps]) + max(price, 0.0)
+    sources: set[Source] = {source for submap in submaps for source in submap.sources}
+    return SubMap(
+        map_id=config.map_id,
+        robot_id=config.map_id.partition('/')[0],
+        revision=revision,
+        stamp_ns=max(submap.stamp_ns for submap in submaps),
+        frame_id=config.global_frame,
+        sources=tuple(sorted(sources)),
+        gauge=normal.gauge,
+        id_space=submaps[0].id_space,
+        landmark_ids=catalogue.ids[rows],
+        points=np.concatenate([normal.points, catalogue.points_global[rows[len(ids) :]]]),
+        covariances=None if catalogue.covariances is None else catalogue.covariances[rows],
+        compressed_count=len(ids),
+        a=float(np.sqrt(a2)),
+        packed_r=pack(r),
+        c=c,
+        residual_count=sum(submap.residual_count for submap in submaps),
+        dof=sum(submap.dof for submap in submaps) - verdict.dof,
+        sigma=0.0 if noise.estimated_from else noise.sigma,
+        descriptors=catalogue.descriptors[rows],
+    )

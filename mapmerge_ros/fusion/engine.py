@@ -1,0 +1,216 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The engine: accumulate → associate → align → merge → verify → compress.
+
+`fuse` is a pure function of a set of sub-maps. `FusionEngine` holds the only state: what has
+arrived, and where the global frame is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion.accumulate import Receipt, Store, without_duplicates
+from mapmerge_ros.fusion.associate import associate_by_id
+from mapmerge_ros.fusion.component import Anchor, Merged, merge_component
+from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.outcome import (
+    Fusion,
+    MapAlignment,
+    Pair,
+    Refusal,
+    State,
+    Timing,
+)
+from mapmerge_ros.fusion.overlap import Link, components, find_links
+from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.geometry import Similarity
+from mapmerge_ros.submap import SubMap
+
+NO_COMPONENT = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """All that a fusion depends on."""
+
+    submaps: tuple[SubMap, ...]
+    anchor: Anchor | None = None
+    revision: int = 1
+
+
+def fuse(
+    submaps: Iterable[SubMap] | Snapshot, config: FusionConfig | None = None
+) -> Fusion:
+    """
+    Merge sub-maps into one map per connected component, and test each.
+
+    The result does not depend on the order of the sub-maps, nor on any of their frames and
+    scales (the frame of the result is that of the oldest sub-map of the smallest gauge).
+    """
+    config = config or FusionConfig()
+    snapshot = submaps if isinstance(submaps, Snapshot) else Snapshot(tuple(submaps))
+    stopwatch = Stopwatch()
+    with stopwatch.measure('associate'):
+        kept, refusals = without_duplicates(snapshot.submaps)
+        usable = tuple(submap for submap in kept if submap.compressed_count)
+        association = associate_by_id(usable)
+        links = find_links(usable, association, config)
+    merged: list[tuple[tuple[int, ...], Merged]] = []
+    failures = list(refusals)
+    for group in components(len(usable), links):
+        members = [usable[k] for k in group]
+        try:
+            part = merge_component(
+                members,
+                association.restricted(group),
+                _within(group, links),
+                _anchor_of(snapshot.anchor, members),
+                config,
+                snapshot.revision,
+                stopwatch,
+            )
+            merged.append((group, part))
+        except DegenerateGeometry as err:
+            failures += [Refusal(submap.map_id, str(err)) for submap in members]
+    alignments = [*_aligned(usable, links, merged), *_left_out(snapshot.submaps, failures)]
+    return Fusion(
+        components=tuple(part.component for _, part in merged),
+        alignments=tuple(sorted(alignments, key=lambda item: item.submap.map_id)),
+        pairs=tuple(Pair(usable[x.a].map_id, usable[x.b].map_id, x.shared) for x in links),
+        timing=Timing(
+            stopwatch['associate'],
+            stopwatch['merge'] + stopwatch['compress'],
+            stopwatch['test'],
+            stopwatch.total_s,
+        ),
+    )
+
+
+class FusionEngine:
+    """Takes sub-maps in as they come and fuses what is there. Not thread-safe: one owner."""
+
+    def __init__(self, config: FusionConfig | None = None) -> None:
+        self.config = config or FusionConfig()
+        self._store = Store(self.config.map_id)
+        self._anchor: Anchor | None = None
+        self._revision = 0
+        self.changed = False
+        """Whether anything has come or gone since the last snapshot"""
+
+    def add(self, submap: SubMap) -> Receipt:
+        """Take in a sub-map; a refusal says why and changes nothing."""
+        receipt = self._store.add(submap)
+        self.changed |= receipt.accepted
+        return receipt
+
+    def remove(self, map_ids: Iterable[str]) -> int:
+        """Forget sub-maps; return how many were known."""
+        count = self._store.remove(map_ids)
+        self.changed |= count > 0
+        return count
+
+    def reset(self) -> None:
+        """Forget everything but the revision, which must go on rising."""
+        self.remove([submap.map_id for submap in self._store.snapshot()])
+        self._anchor = None
+
+    def snapshot(self) -> Snapshot:
+        """Everything the next fusion depends on; it may run in another thread."""
+        self.changed = False
+        self._revision += 1
+        return Snapshot(self._store.snapshot(), self._anchor, self._revision)
+
+    def commit(self, fusion: Fusion) -> None:
+        """Remember where the global frame is, so that it does not jump at the next merge."""
+        for item in fusion.alignments:
+            if fusion.components and item.submap.map_id == fusion.components[0].anchor:
+                self._anchor = Anchor(item.submap.map_id, item.S_global_map)
+
+    def fuse(self) -> Fusion:
+        """Fuse what is there, in this thread."""
+        fusion = fuse(self.snapshot(), self.config)
+        self.commit(fusion)
+        return fusion
+
+
+def _within(group: Sequence[int], links: Sequence[Link]) -> tuple[Link, ...]:
+    """Links inside a group, renumbered to the group."""
+    slot = {k: position for position, k in enumerate(group)}
+    return tuple(
+        Link(slot[link.a], slot[link.b], link.shared, link.S_a_b, link.reason)
+        for link in links
+        if link.a in slot and link.b in slot
+    )
+
+
+def _anchor_of(anchor: Anchor | None, members: Sequence[SubMap]) -> Anchor | None:
+    """Return the previous anchor if this component has it and nothing knows the frame better."""
+    smallest = min(submap.gauge for submap in members)
+    for submap in members:
+        if anchor and submap.map_id == anchor.map_id and submap.gauge == smallest:
+            return anchor
+    return None
+
+
+def _aligned(
+    submaps: Sequence[SubMap],
+    links: Sequence[Link],
+    merged: Sequence[tuple[tuple[int, ...], Merged]],
+) -> list[MapAlignment]:
+    """Sub-maps that are in a component: merged in the published one, else detached."""
+    published = merged[0][0] if merged else ()
+    return [
+        MapAlignment(
+            submaps[k],
+            State.MERGED if index == 0 and len(published) > 1 else State.DETACHED,
+            '' if index == 0 and len(published) > 1 else _why_detached(k, submaps, links),
+            index,
+            part.S_global_maps[slot],
+            part.covariances[slot],
+        )
+        for index, (group, part) in enumerate(merged)
+        for slot, k in enumerate(group)
+    ]
+
+
+def _why_detached(k: int, submaps: Sequence[SubMap], links: Sequence[Link]) -> str:
+    own = [link for link in links if k in (link.a, link.b)]
+    joined = [link for link in own if link.S_a_b is not None]
+    if joined:
+        return f'joined with {len(joined)} sub-maps, but not with the published map'
+    if own:
+        best = max(own, key=lambda link: link.shared)
+        other = submaps[best.b if best.a == k else best.a].map_id
+        return f'best overlap is with {other}: {best.reason}'
+    if not submaps[k].id_space:
+        return 'its landmark ids are private (id_space is empty)'
+    if len(submaps) == 1:
+        return 'it is the only sub-map so far'
+    return f'no landmark in common with any other sub-map of id space {submaps[k].id_space!r}'
+
+
+def _left_out(
+    submaps: Iterable[SubMap], refusals: Iterable[Refusal]
+) -> list[MapAlignment]:
+    """Sub-maps that no component has: refused ones, and bare announcements."""
+    reasons = {refusal.map_id: refusal.reason for refusal in refusals}
+    left_out = []
+    for submap in submaps:
+        if submap.map_id in reasons:
+            state, reason = State.REFUSED, reasons[submap.map_id]
+        elif not submap.compressed_count:
+            state, reason = State.DETACHED, 'an announcement: none of its landmarks is compressed'
+        else:
+            continue
+        left_out.append(
+            MapAlignment(
+                submap, state, reason, NO_COMPONENT, Similarity.identity(), np.zeros((7, 7))
+            )
+        )
+    return left_out

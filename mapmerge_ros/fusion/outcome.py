@@ -1,0 +1,155 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a fusion says: of each sub-map, of the merge as a whole, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from mapmerge_ros.arrays import Floats, Ids, Ints
+from mapmerge_ros.geometry import Gauge, Similarity
+from mapmerge_ros.submap import SubMap
+
+
+class State(IntEnum):
+    """What became of a sub-map; the numbers are those of `mapmerge_msgs/Alignment`."""
+
+    MERGED = 0
+    DETACHED = 1
+    REFUSED = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A sub-map that is not used, and why."""
+
+    map_id: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapAlignment:
+    """One sub-map after the fusion."""
+
+    submap: SubMap
+    state: State
+    reason: str
+    """Empty when merged"""
+    component: int
+    """Index into `Fusion.components`; -1 when refused"""
+    S_global_map: Similarity
+    """Into the frame of its component"""
+    covariance: Floats
+    """(7, 7) left tangent in the global frame, order of `Similarity.exp`; zeros = unknown"""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Test of the merge as a whole (section IV of the paper)."""
+
+    a_tilde: float
+    """ã = ā² - Σ a², px²"""
+    dof: int
+    sigma: float
+    """Noise of one residual that the test uses, px"""
+    variance_factor: float
+    """ã / (dof σ²): 1 when nothing moved, matches are right and noise is Gaussian"""
+    p_value: float
+    accepted: bool
+    reason: str
+    """Empty when accepted"""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two sub-maps and the number of compressed landmarks that they share."""
+
+    a: str
+    b: str
+    shared: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmarks:
+    """Merged landmarks of a component, and which landmark of which sub-map each one is."""
+
+    ids: Ids
+    """(n,)"""
+    points_global: Floats
+    """(n, 3)"""
+    std: Floats
+    """(n, 3) global map units, in the gauge without preferred landmark; nan = unknown"""
+    member_rows: Ints
+    """(members,) row of the landmark, ascending"""
+    member_maps: tuple[str, ...]
+    """(members,) map_id"""
+    member_ids: Ids
+    """(members,) the sub-map's own landmark id"""
+
+    def members(self) -> list[list[tuple[str, int]]]:
+        """Per landmark the (map_id, landmark_id) it consists of."""
+        lists: list[list[tuple[str, int]]] = [[] for _ in self.ids]
+        for row, map_id, landmark_id in zip(
+            self.member_rows, self.member_maps, self.member_ids, strict=True
+        ):
+            lists[int(row)].append((map_id, int(landmark_id)))
+        return lists
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Component:
+    """Sub-maps that hang together, merged into one map."""
+
+    map_ids: tuple[str, ...]
+    gauge: Gauge
+    anchor: str
+    """map_id of the sub-map that holds the global frame"""
+    submap: SubMap
+    """The merged map, compressed again"""
+    landmarks: Landmarks
+    verdict: Verdict
+    iterations: int
+    converged: bool
+    cost_history: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Seconds spent in each part of a fusion."""
+
+    associate_s: float = 0.0
+    merge_s: float = 0.0
+    test_s: float = 0.0
+    total_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fusion:
+    """Everything that one run of the engine found."""
+
+    components: tuple[Component, ...]
+    """Largest first; the first one is published as the global map"""
+    alignments: tuple[MapAlignment, ...]
+    """By map_id"""
+    pairs: tuple[Pair, ...]
+    timing: Timing = field(default_factory=Timing)
+
+    @property
+    def global_map(self) -> SubMap | None:
+        """The largest component as a sub-map, None when there is nothing to merge."""
+        return self.components[0].submap if self.components else None
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict on the global map; that of an empty merge when there is none."""
+        return self.components[0].verdict if self.components else EMPTY_VERDICT
+
+    def in_state(self, state: State) -> tuple[MapAlignment, ...]:
+        """Return the sub-maps in one state."""
+        return tuple(item for item in self.alignments if item.state is state)
+
+
+EMPTY_VERDICT = Verdict(0.0, 0, 0.0, float(np.nan), 1.0, accepted=True, reason='')

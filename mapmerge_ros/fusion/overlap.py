@@ -1,0 +1,122 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Which sub-maps hang together: links between pairs, and the components they form."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.csgraph
+
+from mapmerge_ros.arrays import Floats
+from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion.associate import Association
+from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.geometry import Gauge, Similarity, align
+from mapmerge_ros.submap import SubMap, alignment_weights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Link:
+    """Two sub-maps (by index, a < b) that share landmarks."""
+
+    a: int
+    b: int
+    shared: int
+    S_a_b: Similarity | None
+    """None when the pair alone does not determine its frames"""
+    reason: str
+    """Why not; empty for a usable link"""
+
+
+def find_links(
+    submaps: Sequence[SubMap], association: Association, config: FusionConfig
+) -> tuple[Link, ...]:
+    """All pairs with common landmarks, aligned pairwise where that is possible."""
+    counts = association.shared_counts()
+    weights = [alignment_weights(submap.triangle()) for submap in submaps]
+    pairs = zip(*np.nonzero(np.triu(counts, 1)), strict=True)
+    return tuple(
+        _link(submaps, association, weights, (int(a), int(b)), config) for a, b in pairs
+    )
+
+
+def components(count: int, links: Sequence[Link]) -> tuple[tuple[int, ...], ...]:
+    """Sub-maps connected by usable links, largest first, then in order of their first map."""
+    usable = [link for link in links if link.S_a_b is not None]
+    graph = _graph(count, usable)
+    labels = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
+    groups = [tuple(map(int, np.flatnonzero(labels == label))) for label in np.unique(labels)]
+    return tuple(sorted(groups, key=lambda group: (-len(group), group)))
+
+
+def spanning_tree(
+    maps: Sequence[int], gauges: Sequence[Gauge], links: Sequence[Link]
+) -> tuple[int, dict[int, Similarity]]:
+    """
+    Centre of a component, and S_centre_k along shortest paths (edge 1 / shared).
+
+    The centre is among the sub-maps of the smallest gauge: its scale and heading are real.
+    """
+    usable = [link for link in links if link.S_a_b is not None]
+    graph = _graph(len(gauges), usable)
+    eligible = [k for k in maps if gauges[k] == min(gauges[m] for m in maps)]
+    distances, before = scipy.sparse.csgraph.dijkstra(
+        graph, directed=False, indices=eligible, return_predecessors=True
+    )
+    best = int(np.argmin(distances[:, list(maps)].sum(axis=1)))
+    centre, distance, before = eligible[best], distances[best], before[best]
+    by_pair = {(link.a, link.b): link.S_a_b for link in usable}
+    frames = {centre: Similarity.identity()}
+    for k in sorted((k for k in maps if k != centre), key=lambda k: (distance[k], k)):
+        frames[k] = frames[int(before[k])] @ _between(by_pair, int(before[k]), k)
+    return centre, frames
+
+
+def _between(by_pair: dict[tuple[int, int], Similarity | None], a: int, b: int) -> Similarity:
+    S_a_b = by_pair.get((a, b))
+    if S_a_b is not None:
+        return S_a_b
+    S_b_a = by_pair[b, a]
+    assert S_b_a is not None
+    return S_b_a.inverse()
+
+
+def _graph(count: int, links: Sequence[Link]) -> scipy.sparse.csr_array:
+    ends = [link.a for link in links], [link.b for link in links]
+    lengths = [1.0 / link.shared for link in links]
+    return scipy.sparse.csr_array((lengths, ends), shape=(count, count))
+
+
+def _link(
+    submaps: Sequence[SubMap],
+    association: Association,
+    weights: Sequence[Floats],
+    pair: tuple[int, int],
+    config: FusionConfig,
+) -> Link:
+    a, b = pair
+    common, rows_a, rows_b = np.intersect1d(
+        association.tracks[a], association.tracks[b], assume_unique=True, return_indices=True
+    )
+    if len(common) < config.min_shared:
+        reason = f'{len(common)} landmarks in common, {config.min_shared} needed'
+        return Link(a, b, len(common), None, reason)
+    points_a, points_b = submaps[a].compressed_points[rows_a], submaps[b].compressed_points[rows_b]
+    gauge = max(submaps[a].gauge, submaps[b].gauge)
+    try:
+        ratio = align(points_a, points_b, gauge=gauge).S_target_source.scale
+        precision = _harmonic(weights[a][rows_a], weights[b][rows_b] / ratio**2)
+        S_a_b = align(points_a, points_b, gauge=gauge, weights=precision).S_target_source
+    except DegenerateGeometry as err:
+        return Link(a, b, len(common), None, str(err))
+    return Link(a, b, len(common), S_a_b, '')
+
+
+def _harmonic(weights_a: Floats, weights_b: Floats) -> Floats:
+    """Weight of a difference; zero where one side is not determined at all."""
+    total = weights_a + weights_b
+    return np.divide(weights_a * weights_b, total, out=np.zeros_like(total), where=total > 0.0)

@@ -1,0 +1,91 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Names and members of the merged landmarks, and the catalogue that goes on with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmerge_ros.arrays import Bytes, Floats, Ids, Ints
+from mapmerge_ros.fusion.associate import Association
+from mapmerge_ros.geometry import Similarity
+from mapmerge_ros.submap import (
+    Descriptors,
+    DescriptorType,
+    SubMap,
+    symmetric_from_upper,
+    upper_from_symmetric,
+)
+
+
+def track_ids(submaps: Sequence[SubMap], association: Association) -> Ids:
+    """(count,) id of each track: that of its landmarks, in the id space they have in common."""
+    ids = np.zeros(association.count, np.uint64)
+    for submap, tracks in zip(submaps, association.tracks, strict=True):
+        ids[tracks] = submap.compressed_ids
+    return ids
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Catalogue:
+    """All landmarks of a component by id: where they are, how sure, what they look like."""
+
+    ids: Ids
+    """(n,) ascending"""
+    points_global: Floats
+    """(n, 3) mean over the sub-maps that have the landmark"""
+    covariances: Floats | None
+    """(n, 6) triangulation covariance, members combined; None where one does not know"""
+    descriptors: Descriptors
+    """of the first sub-map that has the landmark"""
+
+    def rows(self, ids: Ids) -> Ints:
+        """Rows of ids that are in the catalogue."""
+        return np.searchsorted(self.ids, ids)
+
+
+def build_catalogue(
+    submaps: Sequence[SubMap], S_global_maps: Sequence[Similarity]
+) -> Catalogue:
+    """Collect every landmark of some sub-maps of one id space in the global frame."""
+    members = np.concatenate([submap.landmark_ids for submap in submaps])
+    ids, first, slots = np.unique(members, return_index=True, return_inverse=True)
+    slots = slots.ravel()
+    placed = [
+        S_global_map.apply(submap.points)
+        for submap, S_global_map in zip(submaps, S_global_maps, strict=True)
+    ]
+    totals = np.zeros((len(ids), 3))
+    np.add.at(totals, slots, np.concatenate(placed))
+    points = totals / np.bincount(slots)[:, None]
+    covariances = _combined(submaps, S_global_maps, slots, len(ids))
+    return Catalogue(ids, points, covariances, _descriptors(submaps, first))
+
+
+def _combined(
+    submaps: Sequence[SubMap], S_global_maps: Sequence[Similarity], slots: Ints, count: int
+) -> Floats | None:
+    """Inverse of the summed informations (n, 6): members see a landmark independently."""
+    informations = []
+    for submap, S_global_map in zip(submaps, S_global_maps, strict=True):
+        if submap.covariances is None:
+            return None
+        linear = S_global_map.scale * S_global_map.rotation
+        turned = linear @ symmetric_from_upper(submap.covariances) @ linear.T
+        informations.append(np.linalg.pinv(turned, hermitian=True))
+    total = np.zeros((count, 3, 3))
+    np.add.at(total, slots, np.concatenate(informations))
+    combined: Floats = np.linalg.pinv(total, hermitian=True)
+    return upper_from_symmetric(combined)
+
+
+def _descriptors(submaps: Sequence[SubMap], first: Ints) -> Descriptors:
+    """Descriptors of some of the concatenated landmarks; none where the kinds differ."""
+    kinds = {(submap.descriptors.type, submap.descriptors.size) for submap in submaps}
+    if len(kinds) != 1 or DescriptorType.NONE in {kind for kind, _ in kinds}:
+        return Descriptors.none(len(first))
+    rows: Bytes = np.concatenate([submap.descriptors.rows for submap in submaps])
+    return Descriptors(submaps[0].descriptors.type, rows[first])

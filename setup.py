@@ -1,0 +1,55 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Build of the ament_python package; works with colcon and with pip alike."""
+
+from setuptools import find_packages, setup
+
+package_name = 'mapmerge_ros'
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    packages=find_packages(include=[package_name, f'{package_name}.*']),
+    package_data={
+        f'{package_name}': ['py.typed'],
+        f'{package_name}.io': ['schemas/*.msg', 'templates/*'],
+    },
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
+        (f'share/{package_name}', ['package.xml']),
+    ],
+    python_requires='>=3.10',
+    install_requires=[
+        'jinja2>=3.1',
+        'lz4>=4.3',
+        'mcap>=1.2',
+        'numpy>=1.26',
+        'rich>=13',
+        'rosbags>=0.10.9',
+        'scipy>=1.11',
+        'threadpoolctl>=3.2',
+    ],
+    extras_require={
+        'colmap': ['pycolmap>=3.12'],
+        'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        'test': [
+            'mcap-ros2-support>=0.5',
+            'mypy>=1.11',
+            'pytest>=8',
+            'ruff>=0.6',
+            'scipy-stubs',
+        ],
+    },
+    zip_safe=False,
+    maintainer='mapmerge_ros maintainers',
+    maintainer_email='maintainers@mapmerge.invalid',
+    description='Fusion of compressed visual maps of several robots.',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            'mapmerge = mapmerge_ros.cli.main:main',
+            'fusion_node = mapmerge_ros.nodes.fusion_node:main',
+            'robot_node = mapmerge_ros.nodes.robot_node:main',
+        ],
+    },
+)
