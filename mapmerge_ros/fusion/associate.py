@@ -45,6 +45,33 @@ class Association:
         return Association(tuple(np.split(inverse, ends)), len(used))
 
 
+def split_contradictions(
+    association: Association, contradicting: Sequence[tuple[int, int, Ints]]
+) -> Association:
+    """
+    Break up tracks that some pair of sub-maps (a, b) contradicts.
+
+    The members of such a track that no pair sets apart stay together, in the order of the
+    sub-maps; every other group becomes a track of its own.
+    """
+    apart: dict[int, set[tuple[int, int]]] = {}
+    for a, b, tracks in contradicting:
+        for track in tracks:
+            apart.setdefault(int(track), set()).update({(a, b), (b, a)})
+    renumbered = [tracks.copy() for tracks in association.tracks]
+    count = association.count
+    for track, pairs in sorted(apart.items()):
+        groups: list[list[int]] = []
+        for k in (k for k, own in enumerate(association.tracks) if track in own):
+            fits = [group for group in groups if not any((k, m) in pairs for m in group)]
+            fits[0].append(k) if fits else groups.append([k])
+        for group in groups[1:]:
+            for k in group:
+                renumbered[k][association.tracks[k] == track] = count
+            count += 1
+    return Association(tuple(renumbered), count)
+
+
 def associate_by_id(submaps: Sequence[SubMap]) -> Association:
     """
     Landmarks of equal id in the same non-empty id space are one track; all others are alone.

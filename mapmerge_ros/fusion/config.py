@@ -24,6 +24,20 @@ class FusionConfig:
     Three points fit a similarity up to 2 degrees of freedom whatever they are; the fourth
     makes the join testable.
     """
+    contradiction_ratio: float = 15.0
+    """
+    How many times the median distance of a pair's landmarks, each in units of its own standard
+    deviation, makes equal ids a contradiction.
+
+    No true landmark of five real sets gets there; an id that was given to two different points
+    lands anywhere in the scene.
+    """
+    contradiction_extent: float = 0.2
+    """
+    Share of the common area's size that the distance must have as well.
+
+    What moved by less is a change in the scene, to be tested and not to be ignored.
+    """
     significance: float = 0.01
     """The merge is not believed below this p-value (the paper takes the 99th percentile)."""
     max_iterations: int = 50
@@ -47,6 +61,9 @@ class FusionConfig:
         for name, low in (('min_shared', 3), ('max_iterations', 1), ('max_landmarks', 3)):
             if getattr(self, name) < low:
                 raise InvalidValue(f'{name}: {getattr(self, name)} is below {low}')
+        for name in ('contradiction_ratio', 'contradiction_extent'):
+            if not getattr(self, name) > 0.0:
+                raise InvalidValue(f'{name}: {getattr(self, name)} is not positive')
         if not 0.0 < self.significance < 1.0:
             raise InvalidValue(f'significance: {self.significance} is not between 0 and 1')
         if not 0.0 < self.relative_decrease < 1.0:

@@ -147,7 +147,8 @@ class Element:
         return derivative
 
     def _centre_map(self) -> Floats:
-        return self.weights @ self.points_map / self.weights.sum()
+        centre: Floats = self.weights @ self.points_map / self.weights.sum()
+        return centre
 
     def _gauge_response(
         self, points: Floats, S_map_global: Similarity

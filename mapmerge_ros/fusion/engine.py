@@ -16,10 +16,11 @@ import numpy as np
 
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.accumulate import Receipt, Store, without_duplicates
-from mapmerge_ros.fusion.associate import associate_by_id
+from mapmerge_ros.fusion.associate import associate_by_id, split_contradictions
 from mapmerge_ros.fusion.component import Anchor, Merged, merge_component
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.outcome import (
+    Contradiction,
     Fusion,
     MapAlignment,
     Pair,
@@ -29,6 +30,7 @@ from mapmerge_ros.fusion.outcome import (
 )
 from mapmerge_ros.fusion.overlap import Link, components, find_links
 from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.fusion.tracks import track_ids
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import SubMap
 
@@ -61,6 +63,10 @@ def fuse(
         usable = tuple(submap for submap in kept if submap.compressed_count)
         association = associate_by_id(usable)
         links = find_links(usable, association, config)
+        ids = track_ids(usable, association)
+        association = split_contradictions(
+            association, [(link.a, link.b, link.contradicting) for link in links]
+        )
     merged: list[tuple[tuple[int, ...], Merged]] = []
     failures = list(refusals)
     for group in components(len(usable), links):
@@ -83,6 +89,11 @@ def fuse(
         components=tuple(part.component for _, part in merged),
         alignments=tuple(sorted(alignments, key=lambda item: item.submap.map_id)),
         pairs=tuple(Pair(usable[x.a].map_id, usable[x.b].map_id, x.shared) for x in links),
+        contradictions=tuple(
+            Contradiction(int(ids[track]), usable[link.a].map_id, usable[link.b].map_id)
+            for link in links
+            for track in link.contradicting
+        ),
         timing=Timing(
             stopwatch['associate'],
             stopwatch['merge'] + stopwatch['compress'],

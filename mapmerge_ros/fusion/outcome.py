@@ -72,6 +72,15 @@ class Pair:
     shared: int
 
 
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """A landmark id that two sub-maps give to points too far apart to be one."""
+
+    landmark_id: int
+    a: str
+    b: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
     """Merged landmarks of a component, and which landmark of which sub-map each one is."""
@@ -135,6 +144,7 @@ class Fusion:
     alignments: tuple[MapAlignment, ...]
     """By map_id"""
     pairs: tuple[Pair, ...]
+    contradictions: tuple[Contradiction, ...] = ()
     timing: Timing = field(default_factory=Timing)
 
     @property

@@ -5,18 +5,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse
 import scipy.sparse.csgraph
 
-from mapmerge_ros.arrays import Floats
+from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.geometry import Gauge, Similarity, align
+from mapmerge_ros.geometry import Gauge, Similarity, align, align_robustly
 from mapmerge_ros.submap import SubMap, alignment_weights
+
+MIN_TO_JUDGE = 8
+"""Common landmarks below which the median distance says nothing about a single one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,8 +31,10 @@ class Link:
     shared: int
     S_a_b: Similarity | None
     """None when the pair alone does not determine its frames"""
-    reason: str
+    reason: str = ''
     """Why not; empty for a usable link"""
+    contradicting: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Tracks that these two sub-maps place too far apart to be one point"""
 
 
 def find_links(
@@ -110,10 +115,26 @@ def _link(
     try:
         ratio = align(points_a, points_b, gauge=gauge).S_target_source.scale
         precision = _harmonic(weights[a][rows_a], weights[b][rows_b] / ratio**2)
-        S_a_b = align(points_a, points_b, gauge=gauge, weights=precision).S_target_source
+        S_a_b = align_robustly(
+            points_a, points_b, gauge=gauge, weights=precision
+        ).S_target_source
     except DegenerateGeometry as err:
         return Link(a, b, len(common), None, str(err))
-    return Link(a, b, len(common), S_a_b, '')
+    apart = _contradictions(points_a, S_a_b.apply(points_b), precision, config)
+    return Link(a, b, len(common), S_a_b, contradicting=common[apart])
+
+
+def _contradictions(
+    points_a: Floats, points_b: Floats, precision: Floats, config: FusionConfig
+) -> Mask:
+    """Which of the common landmarks (n, 3), in one frame, cannot be the same point."""
+    if len(points_a) < MIN_TO_JUDGE:
+        return np.zeros(len(points_a), bool)
+    distances = np.linalg.norm(points_a - points_b, axis=1)
+    extent = np.median(np.linalg.norm(points_a - np.median(points_a, axis=0), axis=1))
+    standardised = distances * np.sqrt(precision)
+    significant = standardised > config.contradiction_ratio * np.median(standardised)
+    return np.asarray(significant & (distances > config.contradiction_extent * extent))
 
 
 def _harmonic(weights_a: Floats, weights_b: Floats) -> Floats:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Transforms, gauges and alignment: pure mathematics."""
 
-from mapmerge_ros.geometry.alignment import Alignment, align
+from mapmerge_ros.geometry.alignment import Alignment, align, align_robustly
 from mapmerge_ros.geometry.gauge import Gauge, gauge_basis, generators
 from mapmerge_ros.geometry.similarity import Similarity, skew
 
@@ -11,6 +11,7 @@ __all__ = [
     'Gauge',
     'Similarity',
     'align',
+    'align_robustly',
     'gauge_basis',
     'generators',
     'skew',
