@@ -30,7 +30,7 @@ setup(
         'threadpoolctl>=3.2',
     ],
     extras_require={
-        'colmap': ['pycolmap>=3.12'],
+        'colmap': ['pycolmap>=4.2'],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': [
             'mcap-ros2-support>=0.5',

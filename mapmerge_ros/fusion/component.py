@@ -13,7 +13,7 @@ from mapmerge_ros.arrays import Floats, Ids, Mask
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.compress import Normal, most_useful, normal_equations
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.element import Element, coordinates
+from mapmerge_ros.fusion.element import Element, Placement, coordinates
 from mapmerge_ros.fusion.initialise import initial_points
 from mapmerge_ros.fusion.merge import Estimate, merge
 from mapmerge_ros.fusion.outcome import Component, Landmarks, Verdict
@@ -49,7 +49,7 @@ class _Solution:
 
     elements: tuple[Element, ...]
     points: Floats
-    S_map_globals: tuple[Similarity, ...]
+    placements: tuple[Placement, ...]
     estimate: Estimate
 
 
@@ -124,9 +124,9 @@ def _solve(
     for element in elements:
         points[element.tracks[~element.is_shared]] = element.recover_private(points)
     held = [submap.map_id for submap in submaps].index(anchor.map_id)
-    points = (anchor.S_global_map @ elements[held].place(points)).apply(points)
-    placed = tuple(element.place(points) for element in elements)
-    return _Solution(elements, points, placed, estimate)
+    points = (anchor.S_global_map @ elements[held].place(points).S_map_global).apply(points)
+    placements = tuple(element.place(points) for element in elements)
+    return _Solution(elements, points, placements, estimate)
 
 
 def _compress(
@@ -142,12 +142,14 @@ def _compress(
     normal = normal_equations(
         solution.elements,
         solution.points,
-        solution.S_map_globals,
+        solution.placements,
         min(submap.gauge for submap in submaps),
     )
     covariance = normal.covariance(noise.sigma)
     ids = track_ids(submaps, association)
-    S_global_maps = tuple(S_map_global.inverse() for S_map_global in solution.S_map_globals)
+    S_global_maps = tuple(
+        placement.S_map_global.inverse() for placement in solution.placements
+    )
     catalogue = build_catalogue(submaps, S_global_maps)
     keep = most_useful(association.views, ids, config.max_landmarks)
     component = Component(
@@ -164,19 +166,17 @@ def _compress(
         cost_history=solution.estimate.history,
     )
     covariances = tuple(
-        _frame_covariance(element, solution.points, S_map_global, covariance)
-        for element, S_map_global in zip(
-            solution.elements, solution.S_map_globals, strict=True
-        )
+        _frame_covariance(element, placement, covariance)
+        for element, placement in zip(solution.elements, solution.placements, strict=True)
     )
     return Merged(component, S_global_maps, covariances)
 
 
 def _frame_covariance(
-    element: Element, points: Floats, S_map_global: Similarity, covariance: Floats
+    element: Element, placement: Placement, covariance: Floats
 ) -> Floats:
     at = coordinates(element.tracks)
-    by_points = element.transform_by_points(points, S_map_global)
+    by_points = element.frame_by_points(placement)
     return np.asarray(by_points @ covariance[np.ix_(at, at)] @ by_points.T)
 
 

@@ -12,9 +12,9 @@ import scipy.linalg
 
 from mapmerge_ros.arrays import Floats, Ids, Ints, Mask
 from mapmerge_ros.errors import DegenerateGeometry
-from mapmerge_ros.fusion.element import Element, coordinates
+from mapmerge_ros.fusion.element import Element, Placement, coordinates
 from mapmerge_ros.fusion.merge import assemble
-from mapmerge_ros.geometry import Gauge, Similarity, gauge_basis
+from mapmerge_ros.geometry import Gauge, gauge_basis
 from mapmerge_ros.submap import factor_information
 
 
@@ -76,11 +76,11 @@ class Normal:
 def normal_equations(
     elements: Sequence[Element],
     points: Floats,
-    transforms: Sequence[Similarity],
+    placements: Sequence[Placement],
     gauge: Gauge,
 ) -> Normal:
     """Square the merge Jacobian at the optimum, private landmarks included."""
-    return Normal(points, *assemble(elements, points, transforms), gauge)
+    return Normal(points, *assemble(elements, placements, points.size), gauge)
 
 
 def most_useful(views: Ints, ids: Ids, limit: int) -> Mask:

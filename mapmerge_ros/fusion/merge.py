@@ -18,8 +18,8 @@ import scipy.linalg
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.element import Element, coordinates
-from mapmerge_ros.geometry import Gauge, Similarity, gauge_basis
+from mapmerge_ros.fusion.element import Element, Placement, coordinates
+from mapmerge_ros.geometry import Gauge, gauge_basis
 
 FIRST_DAMPING, DAMPING_STEP, MAX_DAMPING = 1e-6, 10.0, 1e6
 
@@ -30,8 +30,6 @@ class Estimate:
 
     points: Floats
     """(tracks, 3) global frame"""
-    transforms: tuple[Similarity, ...]
-    """S_map_global of each element"""
     cost: float
     """ã: price of merging, px²"""
     iterations: int
@@ -43,7 +41,7 @@ class Estimate:
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
     points: Floats
-    transforms: tuple[Similarity, ...]
+    placements: tuple[Placement, ...]
     cost: float
 
 
@@ -65,7 +63,7 @@ def merge(
     state = _evaluate(elements, points)
     history = [state.cost]
     for iteration in range(1, config.max_iterations + 1):
-        matrix, gradient = assemble(elements, state.points, state.transforms)
+        matrix, gradient = assemble(elements, state.placements, state.points.size)
         state, promised = _step(elements, state, matrix, gradient, gauge)
         history.append(state.cost)
         if promised <= config.relative_decrease * max(state.cost, np.finfo(float).tiny):
@@ -74,13 +72,12 @@ def merge(
 
 
 def assemble(
-    elements: Sequence[Element], points: Floats, transforms: Sequence[Similarity]
+    elements: Sequence[Element], placements: Sequence[Placement], size: int
 ) -> tuple[Floats, Floats]:
-    """Gauss-Newton matrix (3n, 3n) and gradient (3n,) of all elements."""
-    size = points.size
+    """Gauss-Newton matrix (size, size) and gradient (size,) of all elements."""
     matrix, gradient = np.zeros((size, size)), np.zeros(size)
-    for element, S_map_global in zip(elements, transforms, strict=True):
-        own_matrix, own_gradient = element.derivatives(points, S_map_global)
+    for element, placement in zip(elements, placements, strict=True):
+        own_matrix, own_gradient = element.derivatives(placement)
         at = coordinates(element.tracks)
         matrix[np.ix_(at, at)] += own_matrix
         gradient[at] += own_gradient
@@ -88,12 +85,12 @@ def assemble(
 
 
 def _evaluate(elements: Sequence[Element], points: Floats) -> _State:
-    transforms = tuple(element.place(points) for element in elements)
+    placements = tuple(element.place(points) for element in elements)
     residuals = [
-        element.residuals(points, S_map_global)
-        for element, S_map_global in zip(elements, transforms, strict=True)
+        element.residuals(placement)
+        for element, placement in zip(elements, placements, strict=True)
     ]
-    return _State(points, transforms, float(sum(e @ e for e in residuals)))
+    return _State(points, placements, float(sum(e @ e for e in residuals)))
 
 
 def _step(
@@ -130,6 +127,4 @@ def _step(
 
 
 def _finish(state: _State, iterations: int, converged: bool, history: list[float]) -> Estimate:
-    return Estimate(
-        state.points, state.transforms, state.cost, iterations, converged, tuple(history)
-    )
+    return Estimate(state.points, state.cost, iterations, converged, tuple(history))

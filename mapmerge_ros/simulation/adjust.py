@@ -5,12 +5,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.arrays import Ints
 from mapmerge_ros.bundle import Bundle
 from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.simulation.frames import anchored
@@ -80,7 +79,7 @@ def solve(
         config.add_image(row + 1)
     adjuster = colmap.create_default_ceres_bundle_adjuster(options, config, model)
     summary = adjuster.solve().ceres_summary
-    if not summary.is_solution_usable():
+    if not summary.IsSolutionUsable():
         raise AdjustmentError(f'bundle adjustment failed: {summary.message}')
     return Adjustment(
         bundle=anchored(_from_colmap(bundle, model), bundle),
@@ -90,7 +89,7 @@ def solve(
     )
 
 
-def _library() -> ModuleType:
+def _library() -> Any:
     try:
         import pycolmap
     except ImportError as err:
@@ -145,17 +144,13 @@ def _to_colmap(bundle: Bundle, colmap: Any) -> Any:
 
 
 def _from_colmap(bundle: Bundle, model: Any) -> Bundle:
-    poses = np.array(
-        [model.images[row + 1].cam_from_world().matrix() for row in range(len(bundle.keyframe_ids))]
-    )
-    points: Floats = np.array(
-        [model.points3D[row + 1].xyz for row in range(len(bundle.point_ids))]
-    )
+    m, n = len(bundle.keyframe_ids), len(bundle.point_ids)
+    poses = np.array([model.images[row + 1].cam_from_world().matrix() for row in range(m)])
     return replace(
         bundle,
         rotations_camera_map=poses[:, :, :3],
         translations_camera_map=poses[:, :, 3],
-        points=points,
+        points=np.array([model.points3D[row + 1].xyz for row in range(n)]),
     )
 
 

@@ -35,9 +35,7 @@ class Camera:
     @property
     def intrinsics(self) -> Floats:
         """(4,) fx fy cx cy [px]"""
-        return np.array(
-            [self.focal_px, self.focal_px, self.width_px / 2.0, self.height_px / 2.0]
-        )
+        return np.array([self.focal_px, self.focal_px, self.width_px / 2.0, self.height_px / 2.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,16 +161,14 @@ def _project(
     pixels = camera.focal_px * bearings + camera.intrinsics[2:]
     inside = ((pixels >= 0.0) & (pixels < [camera.width_px, camera.height_px])).all(axis=2)
     near, far = sensing.range_m
-    facing = -np.einsum('mnj,nj->mn', offsets, normals) > np.cos(
-        sensing.max_incidence_rad
-    ) * distances
+    facing = (
+        -np.einsum('mnj,nj->mn', offsets, normals) > np.cos(sensing.max_incidence_rad) * distances
+    )
     facing |= ~normals.any(axis=1)
     return pixels, in_front & inside & facing & (distances > near) & (distances < far)
 
 
-def _trackable(
-    points: Floats, trajectory: Trajectory, visible: Mask, sensing: Sensing
-) -> Ints:
+def _trackable(points: Floats, trajectory: Trajectory, visible: Mask, sensing: Sensing) -> Ints:
     """Rows of the points (n, 3) seen from enough places that are far enough apart."""
     rays = points - trajectory.centres[:, None]
     rays = np.where(visible[:, :, None], rays / np.linalg.norm(rays, axis=2)[:, :, None], 0.0)

@@ -34,9 +34,9 @@ class FleetConfig:
     drones: int = 4
     keyframes: int = 20
     """per drone"""
-    landmarks: int = 170
+    landmarks: int = 180
     """in one cell of the grid; a drone sees about a third more, in the neighbours' cells"""
-    cell: tuple[float, float] = (38.0, 28.0)
+    cell: tuple[float, float] = (31.0, 23.0)
     """[m]; with the defaults below, neighbours see the outer 4 m of each other's cell"""
     path: tuple[float, float] = (28.0, 10.0)
     """Length of a drone's lanes and width between the outermost [m]."""

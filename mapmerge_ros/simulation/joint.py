@@ -36,7 +36,7 @@ def joint_bundle(fleet: Fleet) -> Bundle:
     return replace(
         placed[0],
         intrinsics=np.concatenate([b.intrinsics for b in placed]),
-        keyframe_ids=np.arange(sum(len(b.keyframe_ids) for b in placed)),
+        keyframe_ids=np.arange(sum(len(b.keyframe_ids) for b in placed), dtype=np.uint64),
         keyframe_cameras=_shifted([b.keyframe_cameras for b in placed], first_camera),
         rotations_camera_map=np.concatenate([b.rotations_camera_map for b in placed]),
         translations_camera_map=np.concatenate([b.translations_camera_map for b in placed]),

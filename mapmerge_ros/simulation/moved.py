@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -89,7 +90,7 @@ def _visit_between(rng: np.random.Generator, seen: Mask) -> int | None:
     knows: Ints = np.flatnonzero(seen.mean(axis=1) >= SHARED_RATIO)
     together = [
         later
-        for earlier, later in zip(knows[:-1], knows[1:], strict=True)
+        for earlier, later in pairwise(knows)
         if (seen[earlier] & seen[later]).mean() >= SHARED_RATIO
     ]
     return int(rng.choice(together)) if together else None

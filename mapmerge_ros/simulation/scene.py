@@ -100,7 +100,8 @@ def yard_scene(
     ground[:, :2] = (rng.random((len(ground), 2)) - 0.5) * extent
     # Waves of some decimetres: a perfectly flat ground would leave nadir views in weak geometry.
     ground[:, 2] = 0.5 * np.sin(0.21 * ground[:, 0]) * np.cos(0.17 * ground[:, 1])
-    parts = [(ground, np.tile([0.0, 0.0, 1.0], (len(ground), 1)))]
+    up: Floats = np.tile([0.0, 0.0, 1.0], (len(ground), 1))
+    parts: list[tuple[Floats, Floats]] = [(ground, up)]
     for share in np.array_split(np.arange(on_houses), max(houses, 1)):
         parts.append(_house(rng, len(share), extent))
     surfaces = np.repeat(np.arange(len(parts)), [len(points) for points, _ in parts])
@@ -110,7 +111,8 @@ def yard_scene(
 
 def _scene(rng: np.random.Generator, points: Floats, normals: Floats, surfaces: Ints) -> Scene:
     descriptors = rng.integers(0, 256, (len(points), DESCRIPTOR_BYTES), dtype=np.uint8)
-    return Scene(np.arange(1, len(points) + 1), points, normals, surfaces, descriptors)
+    ids = np.arange(1, len(points) + 1, dtype=np.uint64)
+    return Scene(ids, points, normals, surfaces, descriptors)
 
 
 def _rectangle(

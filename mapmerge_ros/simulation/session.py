@@ -64,9 +64,6 @@ def measure(
 
     """
     prior = prior or FramePrior()
-    S_map_world = random_frame(rng, gauge)
-    centre_map = S_map_world.apply(truth.centres_map()).mean(axis=0)
-    S_map_world = frame_error(rng, gauge, prior, centre_map) @ S_map_world
     noise_px = sigma_px * rng.normal(size=truth.observations_px.shape)
     noisy = replace(
         truth,
@@ -75,8 +72,12 @@ def measure(
         prior=prior,
         sigma_px=sigma_px,
     )
-    start = _disturbed(noisy, rng).transformed(S_map_world)
-    adjusted = solve(start, max_iterations=max_iterations).bundle
+    start = _disturbed(noisy, rng)
+    # Drawn last: the same seed gives the same noise in every gauge.
+    S_map_world = random_frame(rng, gauge)
+    centre_map = S_map_world.apply(truth.centres_map()).mean(axis=0)
+    S_map_world = frame_error(rng, gauge, prior, centre_map) @ S_map_world
+    adjusted = solve(start.transformed(S_map_world), max_iterations=max_iterations).bundle
     return Session(
         bundle=anchored(adjusted, truth.transformed(S_map_world)),
         truth=truth,
@@ -97,7 +98,7 @@ def with_descriptors(
 
 def with_private_ids(session: Session, rng: np.random.Generator) -> Session:
     """Number the points by 1..n in random order: ids that mean nothing to other robots."""
-    ids = rng.permutation(len(session.landmark_ids)) + 1
+    ids = (rng.permutation(len(session.landmark_ids)) + 1).astype(np.uint64)
     return replace(session, bundle=replace(session.bundle, point_ids=ids))
 
 
@@ -112,4 +113,5 @@ def _disturbed(bundle: Bundle, rng: np.random.Generator) -> Bundle:
 
 def _steps(rng: np.random.Generator, count: int, stds: tuple[float, ...]) -> Floats:
     """Random steps (count, 3 per std)."""
-    return rng.normal(size=(count, 3 * len(stds))) * np.repeat(stds, 3)
+    steps: Floats = rng.normal(size=(count, 3 * len(stds))) * np.repeat(stds, 3)
+    return steps

@@ -29,7 +29,8 @@ class Trajectory:
     @property
     def translations_camera_world(self) -> Floats:
         """(m, 3)"""
-        return -np.einsum('mij,mj->mi', self.rotations_camera_world, self.centres)
+        turned: Floats = np.einsum('mij,mj->mi', self.rotations_camera_world, self.centres)
+        return -turned
 
 
 def look_at(centres: Floats, targets: Floats, upwards: Floats) -> Trajectory:

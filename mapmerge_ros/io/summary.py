@@ -1,0 +1,132 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""`summary.json`: everything a fusion found, as plain values with stable keys."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mapmerge_ros.fusion import Fusion, MapAlignment, Verdict
+from mapmerge_ros.io.codec import encode_submap
+from mapmerge_ros.submap import SubMap
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A message that was not taken in."""
+
+    name: str
+    """map_id, or the topic where the message could not be read"""
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What came over the wire."""
+
+    accepted: int
+    """Messages"""
+    bytes_in: int
+    """Of the accepted messages, every revision counted"""
+    refused: tuple[Refused, ...] = ()
+
+
+def summarise(fusion: Fusion, traffic: Traffic | None = None) -> dict[str, Any]:
+    """
+    Plain values (str, int, float, bool, list, dict, None) of a fusion; unknown numbers are None.
+
+    Without `traffic` the sub-maps that are inside count as one message each.
+    """
+    sub_maps = [_sub_map(item) for item in fusion.alignments]
+    traffic = traffic or Traffic(len(sub_maps), sum(row['bytes'] for row in sub_maps))
+    first = fusion.components[0] if fusion.components else None
+    summary = {
+        'sub_maps': sub_maps,
+        'test': _test(fusion.verdict),
+        'changes': [],
+        'components': [list(component.map_ids) for component in fusion.components],
+        'pairs': [{'a': x.a, 'b': x.b, 'shared': x.shared} for x in fusion.pairs],
+        'contradictions': [
+            {'landmark': x.landmark_id, 'a': x.a, 'b': x.b} for x in fusion.contradictions
+        ],
+        'iterations': first.iterations if first else 0,
+        'converged': first.converged if first else False,
+        'anchor': first.anchor if first else None,
+        'gauge': int(first.gauge) if first else None,
+        'landmarks': len(first.landmarks.ids) if first else 0,
+        'timing_s': {
+            'associate': fusion.timing.associate_s,
+            'merge': fusion.timing.merge_s,
+            'test': fusion.timing.test_s,
+            'total': fusion.timing.total_s,
+        },
+        'messages': {
+            'accepted': traffic.accepted,
+            'refused': [{'name': x.name, 'reason': x.reason} for x in traffic.refused],
+        },
+        'bytes_in': traffic.bytes_in,
+        'bytes_out': len(encode_submap(fusion.global_map)) if fusion.global_map else 0,
+    }
+    return {key: _plain(value) for key, value in summary.items()}
+
+
+def summary_json(summary: Mapping[str, Any]) -> bytes:
+    """Text of a summary; floats read back to the same bits."""
+    return (json.dumps(summary, indent=2, allow_nan=False) + '\n').encode()
+
+
+def noise_sigma(submap: SubMap) -> float:
+    """Noise of one residual [px]: as stated, or from the map's own residuals; NaN = unknown."""
+    if submap.sigma:
+        return submap.sigma
+    if not submap.compressed_count or submap.redundancy <= 0:
+        return math.nan
+    return submap.a / math.sqrt(submap.redundancy)
+
+
+def _sub_map(item: MapAlignment) -> dict[str, Any]:
+    submap, S_global_map = item.submap, item.S_global_map
+    return {
+        'map_id': submap.map_id,
+        'robot_id': submap.robot_id,
+        'revision': submap.revision,
+        'landmarks': len(submap.landmark_ids),
+        'compressed': submap.compressed_count,
+        'gauge': int(submap.gauge),
+        'bytes': len(encode_submap(submap)),
+        'sigma': noise_sigma(submap),
+        'state': item.state.name.lower(),
+        'reason': item.reason,
+        'component': item.component if item.component >= 0 else None,
+        'global_from_map': {
+            'scale': S_global_map.scale,
+            'rotation': S_global_map.rotation.tolist(),
+            'translation': S_global_map.translation.tolist(),
+        },
+    }
+
+
+def _test(verdict: Verdict) -> dict[str, Any]:
+    return {
+        'a_tilde': verdict.a_tilde,
+        'dof': verdict.dof,
+        'sigma': verdict.sigma,
+        'variance_factor': verdict.variance_factor,
+        'p_value': verdict.p_value,
+        'accepted': verdict.accepted,
+        'reason': verdict.reason,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Numpy scalars to Python's, numbers that are not finite to None."""
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(inner) for inner in value]
+    value = value.item() if hasattr(value, 'item') else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

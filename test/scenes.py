@@ -1,0 +1,63 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Small random bundles with truth, made without a solver: what compression tests need."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mapmerge_ros.bundle import Bundle, FramePrior
+from mapmerge_ros.geometry import Gauge
+from mapmerge_ros.submap import Descriptors
+
+
+def looking_at(centres, target):
+    """Rotations camera_from_map of cameras at `centres` (m, 3) that look at one point."""
+    forward = target - centres
+    forward /= np.linalg.norm(forward, axis=1)[:, None]
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right, axis=1)[:, None]
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+
+def random_bundle(
+    seed=0, *, keyframes=6, points=30, gauge=Gauge.SIMILARITY, noise_px=0.5, off=0.0, spread=1.0
+):
+    """
+    Key frames on an arc around a cloud of points, every point seen by most of them.
+
+    `off` moves poses and points away from where the observations come from, so that the bundle
+    is not at its optimum; `spread` shrinks the baseline, which spoils the conditioning.
+    """
+    rng = np.random.default_rng(seed)
+    cloud = rng.uniform([-3.0, -2.0, -1.0], [3.0, 2.0, 1.0], size=(points, 3))
+    angles = spread * np.linspace(-1.0, 1.0, keyframes)
+    centres = np.column_stack([9 * np.sin(angles), -9 * np.cos(angles), rng.uniform(0, 2, keyframes)])
+    rotations = looking_at(centres, np.zeros(3))
+    translations = -np.einsum('mij,mj->mi', rotations, centres)
+    seen = rng.random((points, keyframes)) < 0.8
+    seen[:, :2] = True
+    rows, frames = np.nonzero(seen)
+    intrinsics = np.array([[500.0, 510.0, 376.0, 240.0], [450.0, 450.0, 320.0, 240.0]])
+    cameras = np.arange(keyframes) % 2
+    camera_points = np.einsum('oij,oj->oi', rotations[frames], cloud[rows]) + translations[frames]
+    k = intrinsics[cameras[frames]]
+    pixels = k[:, :2] * camera_points[:, :2] / camera_points[:, 2:] + k[:, 2:]
+    bundle = Bundle(
+        intrinsics=intrinsics,
+        keyframe_ids=np.arange(keyframes) + 10,
+        keyframe_cameras=cameras,
+        rotations_camera_map=rotations,
+        translations_camera_map=translations,
+        point_ids=rng.permutation(points) + 100,
+        points=cloud,
+        observation_keyframes=frames,
+        observation_points=rows,
+        observations_px=pixels + noise_px * rng.normal(size=pixels.shape),
+        descriptors=Descriptors.none(points),
+        gauge=gauge,
+        prior=FramePrior(),
+    )
+    return bundle.moved(
+        off * 0.1 * rng.normal(size=(keyframes, 6)), off * rng.normal(size=(points, 3))
+    )
