@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 
-from mapmerge_ros.arrays import Ints
+from mapmerge_ros.arrays import Ints, Mask
 from mapmerge_ros.submap import SubMap
 
 
@@ -21,6 +21,8 @@ class Association:
     tracks: tuple[Ints, ...]
     """Per sub-map the track (m_k,) of each compressed landmark"""
     count: int
+    nameless: Mask
+    """(count,) tracks whose landmark id has been given to another point as well"""
 
     @property
     def views(self) -> Ints:
@@ -31,7 +33,7 @@ class Association:
         """(maps, maps) number of tracks common to two sub-maps, their own size on the diagonal."""
         lengths = [len(track) for track in self.tracks]
         rows = np.repeat(np.arange(len(self.tracks)), lengths)
-        columns = np.concatenate(self.tracks)
+        columns = np.concatenate([np.zeros(0, np.int64), *self.tracks])
         membership = scipy.sparse.csr_array(
             (np.ones(len(rows), np.int64), (rows, columns)), shape=(len(lengths), self.count)
         )
@@ -42,7 +44,7 @@ class Association:
         kept = [self.tracks[k] for k in maps]
         used, inverse = np.unique(np.concatenate(kept), return_inverse=True)
         ends = np.cumsum([len(track) for track in kept])[:-1]
-        return Association(tuple(np.split(inverse, ends)), len(used))
+        return Association(tuple(np.split(inverse, ends)), len(used), self.nameless[used])
 
 
 def split_contradictions(
@@ -51,25 +53,33 @@ def split_contradictions(
     """
     Break up tracks that some pair of sub-maps (a, b) contradicts.
 
-    The members of such a track that no pair sets apart stay together, in the order of the
-    sub-maps; every other group becomes a track of its own.
+    Members of such a track that no pair sets apart stay together, in the order of the sub-maps.
+    The largest group keeps the id if it has two members; what is left is merged without a name,
+    and so does not leave the fusion.
     """
     apart: dict[int, set[tuple[int, int]]] = {}
     for a, b, tracks in contradicting:
         for track in tracks:
             apart.setdefault(int(track), set()).update({(a, b), (b, a)})
     renumbered = [tracks.copy() for tracks in association.tracks]
-    count = association.count
+    count, nameless = association.count, list[int]()
     for track, pairs in sorted(apart.items()):
         groups: list[list[int]] = []
         for k in (k for k, own in enumerate(association.tracks) if track in own):
             fits = [group for group in groups if not any((k, m) in pairs for m in group)]
             fits[0].append(k) if fits else groups.append([k])
+        groups.sort(key=len, reverse=True)
+        if len(groups[0]) < 2:
+            nameless.append(track)
         for group in groups[1:]:
             for k in group:
                 renumbered[k][association.tracks[k] == track] = count
+            nameless.append(count)
             count += 1
-    return Association(tuple(renumbered), count)
+    flags = np.zeros(count, bool)
+    flags[: association.count] = association.nameless
+    flags[nameless] = True
+    return Association(tuple(renumbered), count, flags)
 
 
 def associate_by_id(submaps: Sequence[SubMap]) -> Association:
@@ -93,4 +103,4 @@ def associate_by_id(submaps: Sequence[SubMap]) -> Association:
         if not submap.id_space:
             tracks[k] = count + np.arange(submap.compressed_count)
             count += submap.compressed_count
-    return Association(tuple(tracks), count)
+    return Association(tuple(tracks), count, np.zeros(count, bool))

@@ -150,8 +150,8 @@ def _compress(
     S_global_maps = tuple(
         placement.S_map_global.inverse() for placement in solution.placements
     )
-    catalogue = build_catalogue(submaps, S_global_maps)
-    keep = most_useful(association.views, ids, config.max_landmarks)
+    catalogue = build_catalogue(submaps, S_global_maps, association)
+    keep = most_useful(association.views, ids, config.max_landmarks) & ~association.nameless
     component = Component(
         map_ids=tuple(submap.map_id for submap in submaps),
         gauge=normal.gauge,
@@ -189,13 +189,16 @@ def _landmarks(
 ) -> Landmarks:
     rows = np.concatenate(association.tracks)
     order = np.argsort(rows, kind='stable')
+    order = order[~association.nameless[rows[order]]]
+    slots = np.cumsum(~association.nameless) - 1
     names = [submap.map_id for submap in submaps for _ in range(submap.compressed_count)]
     member_ids = np.concatenate([submap.compressed_ids for submap in submaps])
+    variances = np.diag(covariance)
     return Landmarks(
-        ids=ids,
-        points_global=points,
-        std=np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, 3),
-        member_rows=rows[order],
+        ids=ids[~association.nameless],
+        points_global=points[~association.nameless],
+        std=np.sqrt(np.maximum(variances, 0.0)).reshape(-1, 3)[~association.nameless],
+        member_rows=slots[rows[order]],
         member_maps=tuple(names[int(k)] for k in order),
         member_ids=member_ids[order],
     )

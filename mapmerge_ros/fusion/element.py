@@ -185,7 +185,7 @@ class Element:
         return derivative
 
     def _displacement(self, placement: Placement) -> Floats:
-        moved = placement.stretched_map - self.points_map
+        moved: Floats = placement.stretched_map - self.points_map
         return moved - np.log(placement.stretch) * self.growth()
 
     def _mean(self, points: Floats) -> Floats:

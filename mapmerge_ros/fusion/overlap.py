@@ -51,6 +51,8 @@ def find_links(
 
 def components(count: int, links: Sequence[Link]) -> tuple[tuple[int, ...], ...]:
     """Sub-maps connected by usable links, largest first, then in order of their first map."""
+    if not count:
+        return ()
     usable = [link for link in links if link.S_a_b is not None]
     graph = _graph(count, usable)
     labels = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]

@@ -19,7 +19,7 @@ OnReceipt = Callable[[SubMap, Receipt], None]
 """Called with every sub-map and what the engine said to it."""
 
 
-class NothingToFuse(MapMergeError):
+class EmptyReplayError(MapMergeError):
     """A recording without a single sub-map that the engine took in."""
 
 
@@ -66,7 +66,7 @@ def replay(
 
     Raises
     ------
-    NothingToFuse
+    EmptyReplayError
         The engine took in none of the messages; the reasons are in the text.
     InvalidValue
         The period is not positive.
@@ -96,5 +96,5 @@ def replay(
     if engine.changed:
         fusion = fuse(time_ns)
     if fusion is None:
-        raise NothingToFuse('; '.join(dict.fromkeys(reasons)) or 'no message')
+        raise EmptyReplayError('; '.join(dict.fromkeys(reasons)) or 'no message')
     return fusion

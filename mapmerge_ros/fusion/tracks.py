@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmerge_ros.arrays import Bytes, Floats, Ids, Ints
+from mapmerge_ros.arrays import Bytes, Floats, Ids, Ints, Mask
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import (
@@ -48,25 +48,48 @@ class Catalogue:
 
 
 def build_catalogue(
-    submaps: Sequence[SubMap], S_global_maps: Sequence[Similarity]
+    submaps: Sequence[SubMap], S_global_maps: Sequence[Similarity], association: Association
 ) -> Catalogue:
-    """Collect every landmark of some sub-maps of one id space in the global frame."""
-    members = np.concatenate([submap.landmark_ids for submap in submaps])
+    """Collect every landmark with a name of sub-maps of one id space in the global frame."""
+    named = [
+        _named(submap, association.nameless[tracks])
+        for submap, tracks in zip(submaps, association.tracks, strict=True)
+    ]
+    members = np.concatenate([part.landmark_ids for part in named])
     ids, first, slots = np.unique(members, return_index=True, return_inverse=True)
     slots = slots.ravel()
     placed = [
-        S_global_map.apply(submap.points)
-        for submap, S_global_map in zip(submaps, S_global_maps, strict=True)
+        S_global_map.apply(part.points)
+        for part, S_global_map in zip(named, S_global_maps, strict=True)
     ]
     totals = np.zeros((len(ids), 3))
     np.add.at(totals, slots, np.concatenate(placed))
     points = totals / np.bincount(slots)[:, None]
-    covariances = _combined(submaps, S_global_maps, slots, len(ids))
-    return Catalogue(ids, points, covariances, _descriptors(submaps, first))
+    covariances = _combined(named, S_global_maps, slots, len(ids))
+    return Catalogue(ids, points, covariances, _descriptors(named, first))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Points:
+    """The part of a sub-map that a catalogue is about."""
+
+    landmark_ids: Ids
+    points: Floats
+    covariances: Floats | None
+    descriptors: Descriptors
+
+
+def _named(submap: SubMap, nameless: Mask) -> _Points:
+    keep = np.ones(len(submap.landmark_ids), bool)
+    keep[: submap.compressed_count] = ~nameless
+    covariances = None if submap.covariances is None else submap.covariances[keep]
+    return _Points(
+        submap.landmark_ids[keep], submap.points[keep], covariances, submap.descriptors[keep]
+    )
 
 
 def _combined(
-    submaps: Sequence[SubMap], S_global_maps: Sequence[Similarity], slots: Ints, count: int
+    submaps: Sequence[_Points], S_global_maps: Sequence[Similarity], slots: Ints, count: int
 ) -> Floats | None:
     """Inverse of the summed informations (n, 6): members see a landmark independently."""
     informations = []
@@ -82,7 +105,7 @@ def _combined(
     return upper_from_symmetric(combined)
 
 
-def _descriptors(submaps: Sequence[SubMap], first: Ints) -> Descriptors:
+def _descriptors(submaps: Sequence[_Points], first: Ints) -> Descriptors:
     """Descriptors of some of the concatenated landmarks; none where the kinds differ."""
     kinds = {(submap.descriptors.type, submap.descriptors.size) for submap in submaps}
     if len(kinds) != 1 or DescriptorType.NONE in {kind for kind, _ in kinds}:

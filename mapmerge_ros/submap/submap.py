@@ -158,8 +158,9 @@ class SubMap:
         same physical frame conventions (metric scale, z up).
         """
         inverse = S_new_old.inverse()
-        blocks = self.triangle().reshape(self.rank, -1, 3) @ (inverse.scale * inverse.rotation)
-        r, c = triangulate(blocks.reshape(self.rank, -1), self.c)
+        shape = self.rank, self.compressed_count, 3
+        blocks = self.triangle().reshape(shape) @ (inverse.scale * inverse.rotation)
+        r, c = triangulate(blocks.reshape(self.rank, 3 * self.compressed_count), self.c)
         return replace(
             self,
             frame_id=self.frame_id if frame_id is None else frame_id,
