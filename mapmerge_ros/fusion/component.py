@@ -14,10 +14,10 @@ from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.compress import Normal, most_useful, normal_equations
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.element import Element, Placement, coordinates
-from mapmerge_ros.fusion.initialise import initial_points
-from mapmerge_ros.fusion.merge import Estimate, merge
+from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.outcome import Component, Landmarks, Verdict
-from mapmerge_ros.fusion.overlap import Link, spanning_tree
+from mapmerge_ros.fusion.overlap import Link
+from mapmerge_ros.fusion.search import search
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue, track_ids
 from mapmerge_ros.fusion.verify import Noise, degrees_of_freedom, pool_noise, verify
@@ -75,10 +75,12 @@ def merge_component(
     views = association.views
     is_shared = views > 1 if len(submaps) > 1 else np.ones(association.count, bool)
     anchor = anchor or choose_anchor(submaps, gauge)
+    dof = degrees_of_freedom(views, [submap.gauge for submap in submaps], gauge)
     with stopwatch.measure('merge'):
-        solution = _solve(submaps, association, is_shared, links, noise, gauge, anchor, config)
+        solution = _solve(
+            submaps, association, is_shared, links, noise, gauge, dof, anchor, config
+        )
     with stopwatch.measure('test'):
-        dof = degrees_of_freedom(views, [submap.gauge for submap in submaps], gauge)
         verdict = verify(solution.estimate.cost, dof, noise, config)
     with stopwatch.measure('compress'):
         return _compress(submaps, association, solution, noise, verdict, anchor, config, revision)
@@ -98,6 +100,7 @@ def _solve(
     links: Sequence[Link],
     noise: Noise,
     gauge: Gauge,
+    dof: int,
     anchor: Anchor,
     config: FusionConfig,
 ) -> _Solution:
@@ -113,11 +116,13 @@ def _solve(
         replace(element, tracks=slots[element.tracks])
         for element in (element.reduced() for element in elements)
     ]
-    centre, S_centre_maps = spanning_tree(
-        range(len(submaps)), [submap.gauge for submap in submaps], links
+    estimate = search(
+        reduced,
+        links,
+        gauge,
+        lambda price: verify(price, dof, noise, config).accepted,
+        config,
     )
-    start = initial_points(reduced, S_centre_maps, centre, len(shared))
-    estimate = merge(reduced, start, gauge, config)
 
     points = np.full((association.count, 3), np.nan)
     points[shared] = estimate.points
@@ -163,6 +168,7 @@ def _compress(
         verdict=verdict,
         iterations=solution.estimate.iterations,
         converged=solution.estimate.converged,
+        starts=solution.estimate.starts,
         cost_history=solution.estimate.history,
     )
     covariances = tuple(

@@ -185,8 +185,8 @@ class Element:
         return derivative
 
     def _displacement(self, placement: Placement) -> Floats:
-        moved: Floats = placement.stretched_map - self.points_map
-        return moved - np.log(placement.stretch) * self.growth()
+        growth: Floats = np.log(placement.stretch) * self.growth()
+        return placement.stretched_map - self.points_map - growth
 
     def _mean(self, points: Floats) -> Floats:
         weights = self.weights[self.weights > 0.0]

@@ -10,7 +10,7 @@ arrived, and where the global frame is.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -154,7 +154,7 @@ def _within(group: Sequence[int], links: Sequence[Link]) -> tuple[Link, ...]:
     """Links inside a group, renumbered to the group."""
     slot = {k: position for position, k in enumerate(group)}
     return tuple(
-        Link(slot[link.a], slot[link.b], link.shared, link.S_a_b, link.reason)
+        replace(link, a=slot[link.a], b=slot[link.b])
         for link in links
         if link.a in slot and link.b in slot
     )

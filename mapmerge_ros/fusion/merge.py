@@ -36,6 +36,8 @@ class Estimate:
     converged: bool
     history: tuple[float, ...]
     """Cost before each step"""
+    starts: int = 1
+    """Starts that were tried to find it"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -122,6 +122,8 @@ class Component:
     verdict: Verdict
     iterations: int
     converged: bool
+    starts: int
+    """Starts of the merge until it was believed, or until there was no other to try"""
     cost_history: tuple[float, ...]
 
 

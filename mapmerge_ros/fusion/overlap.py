@@ -23,6 +23,18 @@ MIN_TO_JUDGE = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """The rotation between two sub-maps that their common landmarks determine worst."""
+
+    axis_a: Floats
+    """(3,) unit vector along which the landmarks are spread most, frame of a"""
+    pivot_a: Floats
+    """(3,) middle of the landmarks"""
+    std_rad: float
+    """Median distance of the landmarks after alignment, over their spread about the axis"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Link:
     """Two sub-maps (by index, a < b) that share landmarks."""
 
@@ -33,6 +45,8 @@ class Link:
     """None when the pair alone does not determine its frames"""
     reason: str = ''
     """Why not; empty for a usable link"""
+    turn: Turn | None = None
+    """Rotation that the pair determines worst; None when the link is not usable"""
     contradicting: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
     """Tracks that these two sub-maps place too far apart to be one point"""
 
@@ -64,7 +78,10 @@ def spanning_tree(
     maps: Sequence[int], gauges: Sequence[Gauge], links: Sequence[Link]
 ) -> tuple[int, dict[int, Similarity]]:
     """
-    Centre of a component, and S_centre_k along shortest paths (edge 1 / shared).
+    Centre of a component, and S_centre_k along shortest paths.
+
+    The length of a link is the variance of its worst rotation: one that hangs on a few landmarks
+    along a line is walked last (1 / shared alone starts one in thirty narrow rooms wrongly).
 
     The centre is among the sub-maps of the smallest gauge: its scale and heading are real.
     """
@@ -94,8 +111,14 @@ def _between(by_pair: dict[tuple[int, int], Similarity | None], a: int, b: int) 
 
 def _graph(count: int, links: Sequence[Link]) -> scipy.sparse.csr_array:
     ends = [link.a for link in links], [link.b for link in links]
-    lengths = [1.0 / link.shared for link in links]
+    lengths = [_length(link) for link in links]
     return scipy.sparse.csr_array((lengths, ends), shape=(count, count))
+
+
+def _length(link: Link) -> float:
+    # Exact data have no spread; their links are then told apart by the number of landmarks.
+    variance = link.turn.std_rad**2 if link.turn else 0.0
+    return (variance + 1e-9) / link.shared
 
 
 def _link(
@@ -122,8 +145,18 @@ def _link(
         ).S_target_source
     except DegenerateGeometry as err:
         return Link(a, b, len(common), None, str(err))
-    apart = _contradictions(points_a, S_a_b.apply(points_b), precision, config)
-    return Link(a, b, len(common), S_a_b, contradicting=common[apart])
+    moved_b = S_a_b.apply(points_b)
+    apart = _contradictions(points_a, moved_b, precision, config)
+    turn = _worst_turn(points_a, moved_b)
+    return Link(a, b, len(common), S_a_b, turn=turn, contradicting=common[apart])
+
+
+def _worst_turn(points_a: Floats, points_b: Floats) -> Turn:
+    centred = points_a - points_a.mean(axis=0)
+    _, spreads, axes = np.linalg.svd(centred, full_matrices=False)
+    across = np.sqrt((spreads[1] ** 2 + spreads[2] ** 2) / len(points_a))
+    distance = np.median(np.linalg.norm(points_a - points_b, axis=1))
+    return Turn(axes[0], points_a.mean(axis=0), float(distance / across))
 
 
 def _contradictions(
