@@ -74,7 +74,9 @@ def procrustes_and_averaging(submaps: list[SubMap], ids: np.ndarray) -> np.ndarr
         k = waiting.pop(int(np.argmax(common)))
         at, own = rows[k][known[k]], submaps[k].compressed_points[known[k]]
         both = seen[at]
-        placed = align(points[at[both]], own[both]).S_target_source.apply(own) if seen.any() else own
+        placed = (
+            align(points[at[both]], own[both]).S_target_source.apply(own) if seen.any() else own
+        )
         points[at[~both]] = placed[~both]
     for _ in range(20):
         total, count = np.zeros_like(points), np.zeros(len(ids))
@@ -92,8 +94,12 @@ def compress_sessions(folder: Path, cap: int | None) -> tuple[list[SubMap], list
     submaps = [
         decode_submap(
             encode_submap(
-                compress(bundle, MapName(f'session_{k}', 'robot', id_space='truth'), ids,
-                         catalogue=False)
+                compress(
+                    bundle,
+                    MapName(f'session_{k}', 'robot', id_space='truth'),
+                    ids,
+                    catalogue=False,
+                )
             )
         )
         for k, (bundle, ids) in enumerate(zip(bundles, matched(bundles, cap), strict=True))

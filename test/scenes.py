@@ -32,7 +32,9 @@ def random_bundle(
     rng = np.random.default_rng(seed)
     cloud = rng.uniform([-3.0, -2.0, -1.0], [3.0, 2.0, 1.0], size=(points, 3))
     angles = spread * np.linspace(-1.0, 1.0, keyframes)
-    centres = np.column_stack([9 * np.sin(angles), -9 * np.cos(angles), rng.uniform(0, 2, keyframes)])
+    centres = np.column_stack(
+        [9 * np.sin(angles), -9 * np.cos(angles), rng.uniform(0, 2, keyframes)]
+    )
     rotations = looking_at(centres, np.zeros(3))
     translations = -np.einsum('mij,mj->mi', rotations, centres)
     seen = rng.random((points, keyframes)) < 0.8

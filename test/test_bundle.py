@@ -40,7 +40,9 @@ def test_elimination_equals_dense_qr(gauge, method, off):
     np.testing.assert_allclose(fast.r.T @ fast.r / size, dense.r.T @ dense.r / size, atol=1e-8)
     np.testing.assert_allclose(fast.a, dense.a, rtol=1e-8)
     gradient = dense.r.T @ dense.c
-    np.testing.assert_allclose(fast.r.T @ fast.c, gradient, atol=1e-8 * max(np.abs(gradient).max(), 1))
+    np.testing.assert_allclose(
+        fast.r.T @ fast.c, gradient, atol=1e-8 * max(np.abs(gradient).max(), 1)
+    )
     size = np.abs(dense.pose_by_shared).max()
     np.testing.assert_allclose(fast.pose_by_shared / size, dense.pose_by_shared / size, atol=1e-8)
     np.testing.assert_allclose(fast.pose_offset, dense.pose_offset, atol=1e-8)
@@ -48,7 +50,7 @@ def test_elimination_equals_dense_qr(gauge, method, off):
 
 @pytest.mark.parametrize('gauge', GAUGES)
 def test_the_compressed_cost_is_the_minimum_over_everything_else(gauge):
-    """a² + |R dq + c|² against least squares of the whole Jacobian with the shared points moved."""
+    """a² + |R dq + c|² against least squares of all the rest, the shared points moved."""
     lin = linearise(random_bundle(3, gauge=gauge, off=0.01))
     shared = np.arange(5, 11)
     found = eliminate(lin, shared)
@@ -79,7 +81,7 @@ def test_r_has_the_null_space_of_the_gauge_and_no_more(gauge):
 
 
 def test_ill_conditioned_sessions_go_through_qr():
-    """A baseline of a hundred-thousandth of the distance: Schur complements lose R, QR does not."""
+    """A baseline of a hundred-thousandth of the distance: Schur loses digits, QR does not."""
     lin = linearise(random_bundle(5, spread=1e-5, noise_px=0.0))
     shared = np.arange(6)
     dense = eliminate(lin, shared, 'dense')

@@ -32,7 +32,11 @@ def view(name, rows, *, seed=0, revision=1, id_space='site', stamp_ns=0, compres
     return submap.transformed(Similarity.exp(np.random.default_rng(seed).normal(size=7)))
 
 
-A, B, C = view('a', range(0, 14), seed=1), view('b', range(8, 24), seed=2), view('c', range(18, 34), seed=3)
+A, B, C = (
+    view('a', range(0, 14), seed=1),
+    view('b', range(8, 24), seed=2),
+    view('c', range(18, 34), seed=3),
+)
 
 
 def states(fusion):
@@ -49,9 +53,18 @@ def test_three_overlapping_maps_become_one_that_is_believed():
     assert fusion.verdict.dof == 3 * (6 + 6) - 14
     assert fusion.verdict.accepted
     assert fusion.components[0].converged
-    members = dict(zip(fusion.components[0].landmarks.ids, fusion.components[0].landmarks.members(), strict=True))
+    members = dict(
+        zip(
+            fusion.components[0].landmarks.ids,
+            fusion.components[0].landmarks.members(),
+            strict=True,
+        )
+    )
     assert members[A.landmark_ids[8]] == [('a', A.landmark_ids[8]), ('b', A.landmark_ids[8])]
-    assert [(pair.a, pair.b, pair.shared) for pair in fusion.pairs] == [('a', 'b', 6), ('b', 'c', 6)]
+    assert [(pair.a, pair.b, pair.shared) for pair in fusion.pairs] == [
+        ('a', 'b', 6),
+        ('b', 'c', 6),
+    ]
 
 
 def test_a_newer_revision_replaces_and_an_older_one_changes_nothing():
@@ -122,7 +135,9 @@ def test_one_map_alone_is_published_as_it_is():
     optimum = A.compressed_points.ravel() + np.linalg.lstsq(r, -A.c, rcond=None)[0]
     optimum = optimum.reshape(-1, 3)[np.argsort(A.compressed_ids)]
     merged = fusion.global_map.compressed_points
-    np.testing.assert_allclose(align(optimum, merged).S_target_source.apply(merged), optimum, atol=1e-4)
+    np.testing.assert_allclose(
+        align(optimum, merged).S_target_source.apply(merged), optimum, atol=1e-4
+    )
     assert fusion.verdict.a_tilde < 1e-12
 
 
@@ -139,9 +154,13 @@ def test_collinear_overlap_does_not_join():
     def on_a_line(submap):
         points = submap.points.copy()
         points[:6] = line
-        return replace(submap, points=points, landmark_ids=np.concatenate([ids, submap.landmark_ids[6:]]))
+        return replace(
+            submap, points=points, landmark_ids=np.concatenate([ids, submap.landmark_ids[6:]])
+        )
 
-    fusion = fuse([on_a_line(view('a', range(0, 12), seed=1)), on_a_line(view('b', range(12, 24), seed=2))])
+    fusion = fuse(
+        [on_a_line(view('a', range(0, 12), seed=1)), on_a_line(view('b', range(12, 24), seed=2))]
+    )
     assert 'line' in reason(fusion, 'a')
 
 
@@ -189,18 +208,29 @@ def test_a_fusion_leaves_the_engine_unchanged_until_something_comes():
 def test_a_noise_free_merge_costs_nothing_and_is_believed():
     def clean(name, rows, seed):
         bundle = random_bundle(0, points=40, noise_px=0.0)
-        return compress(bundle, MapName(name, name, id_space='site'), bundle.point_ids[list(rows)]).transformed(
-            Similarity.exp(np.random.default_rng(seed).normal(size=7))
-        )
+        return compress(
+            bundle, MapName(name, name, id_space='site'), bundle.point_ids[list(rows)]
+        ).transformed(Similarity.exp(np.random.default_rng(seed).normal(size=7)))
 
-    fusion = fuse([replace(clean('a', range(12), 1), sigma=0.5), replace(clean('b', range(4, 20), 2), sigma=0.5)])
+    fusion = fuse(
+        [
+            replace(clean('a', range(12), 1), sigma=0.5),
+            replace(clean('b', range(4, 20), 2), sigma=0.5),
+        ]
+    )
     assert fusion.verdict.accepted
     assert fusion.verdict.a_tilde < 1e-4
 
 
 @pytest.mark.parametrize(
     ('name', 'value'),
-    [('min_shared', 2), ('significance', 1.5), ('max_iterations', 0), ('map_id', ''), ('max_landmarks', 1)],
+    [
+        ('min_shared', 2),
+        ('significance', 1.5),
+        ('max_iterations', 0),
+        ('map_id', ''),
+        ('max_landmarks', 1),
+    ],
 )
 def test_settings_are_checked(name, value):
     with pytest.raises(InvalidValue, match=name):

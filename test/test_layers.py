@@ -21,7 +21,14 @@ LAYERS = [
     {'cli', 'nodes'},
 ]
 RANK = {room: rank for rank, rooms in enumerate(LAYERS) for room in rooms}
-ROS = {'rclpy', 'mapmerge_msgs', 'std_msgs', 'geometry_msgs', 'diagnostic_msgs', 'rosidl_runtime_py'}
+ROS = {
+    'rclpy',
+    'mapmerge_msgs',
+    'std_msgs',
+    'geometry_msgs',
+    'diagnostic_msgs',
+    'rosidl_runtime_py',
+}
 
 
 def imports_of(path):
@@ -34,7 +41,11 @@ def imports_of(path):
             yield from (f'{node.module}.{alias.name}' for alias in node.names)
 
 
-MODULES = [path for path in sorted(PACKAGE.rglob('*.py')) if path.parent != PACKAGE or path.stem != '__init__']
+MODULES = [
+    path
+    for path in sorted(PACKAGE.rglob('*.py'))
+    if path.parent != PACKAGE or path.stem != '__init__'
+]
 
 
 @pytest.mark.parametrize('path', MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))

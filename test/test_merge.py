@@ -18,7 +18,7 @@ from mapmerge_ros.submap import alignment_weights
 
 pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres: pip install pycolmap')
 
-from mapmerge_ros.simulation import FleetConfig, Sensing, paper_box, simulate_fleet  # noqa: E402
+from mapmerge_ros.simulation import FleetConfig, Sensing, paper_box, simulate_fleet
 
 GAUGES = [Gauge.SIMILARITY, Gauge.RIGID, Gauge.YAW_TRANSLATION, Gauge.NONE]
 
@@ -81,8 +81,10 @@ def test_the_derivative_of_an_element_is_right(gauge):
     rng, count = np.random.default_rng(4), submap.compressed_count
     shared = rng.random(count) < 0.8
     element = Element.from_submap(submap, np.arange(count), shared, 1.7)
-    points = random_similarity(rng, gauge).inverse().apply(
-        submap.compressed_points + 0.05 * rng.normal(size=(count, 3))
+    points = (
+        random_similarity(rng, gauge)
+        .inverse()
+        .apply(submap.compressed_points + 0.05 * rng.normal(size=(count, 3)))
     )
     matrix, gradient = element.derivatives(element.place(points))
     direction = rng.normal(size=(count, 3))
@@ -100,7 +102,9 @@ def test_the_derivative_of_an_element_is_right(gauge):
 
 def oracle(submaps):
     """Merge of similarity maps as plainly as it can be written: scipy on all landmarks."""
-    ids, slots = np.unique(np.concatenate([s.compressed_ids for s in submaps]), return_inverse=True)
+    ids, slots = np.unique(
+        np.concatenate([s.compressed_ids for s in submaps]), return_inverse=True
+    )
     rows = np.split(slots, np.cumsum([s.compressed_count for s in submaps])[:-1])
     views = np.bincount(slots)
 
@@ -117,10 +121,12 @@ def oracle(submaps):
 
     def residuals(flat):
         points = flat.reshape(-1, 3)
-        return np.concatenate([
-            s.triangle() @ (placed(s, own, points) - s.compressed_points).ravel() + s.c
-            for s, own in zip(submaps, rows, strict=True)
-        ])
+        return np.concatenate(
+            [
+                s.triangle() @ (placed(s, own, points) - s.compressed_points).ravel() + s.c
+                for s, own in zip(submaps, rows, strict=True)
+            ]
+        )
 
     start = fuse(submaps).components[0].landmarks
     assert np.array_equal(start.ids, ids)
@@ -145,7 +151,7 @@ def test_the_merge_finds_what_a_plain_optimiser_finds():
 
 
 def stacking_error(submaps, gauge=Gauge.SIMILARITY):
-    """How far merge(merge(A, B), merge(C, D)) is from merge(A, B, C, D), in standard deviations."""
+    """Distance of merge(merge(A, B), merge(C, D)) to merge(A, B, C, D), in standard deviations."""
     keep = {'max_landmarks': 10_000}
     everything = fuse(submaps, FusionConfig(**keep))
     halves = [
@@ -175,7 +181,7 @@ def test_a_merge_of_merges_is_the_merge_of_all(seed):
 
 @pytest.mark.parametrize('gauge', GAUGES)
 def test_stacking_is_exact_to_second_order(gauge):
-    """Chains of drones that share only their borders bend: the worst case. Half the noise, half."""
+    """Chains of drones that share only borders bend: the worst case. Half the noise, half."""
     errors = [
         np.median(stacking_error(fleet_maps(6, gauge, sigma_px=sigma_px), gauge))
         for sigma_px in (0.5, 0.25)
@@ -198,7 +204,9 @@ def test_dropping_landmarks_from_the_outgoing_map_loses_nothing_about_the_others
     inner = h[np.ix_(column(others), column(others))]
     across = h[np.ix_(column(others), column(slots))]
     schur = h[np.ix_(column(slots), column(slots))] - across.T @ np.linalg.solve(inner, across)
-    np.testing.assert_allclose(s.T @ s / np.abs(schur).max(), schur / np.abs(schur).max(), atol=1e-8)
+    np.testing.assert_allclose(
+        s.T @ s / np.abs(schur).max(), schur / np.abs(schur).max(), atol=1e-8
+    )
 
 
 def box_submaps(rng, sigma, known=True, maps=3):

@@ -1,6 +1,6 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Real sub-maps against the full bundle of all their images; thresholds are the project's promise."""
+"""Real sub-maps against the full bundle of all their images, as the project promises."""
 
 import importlib.util
 from pathlib import Path
@@ -48,7 +48,11 @@ def test_the_merge_is_close_to_the_full_bundle(name, maps, limit, procrustes):
 def test_ids_that_two_robots_gave_away_by_themselves_are_not_believed():
     """Three private ids of EuRoC stand for different points in two sessions."""
     _, fusion = evaluate('euroc_v101_maplab')
-    assert {item.landmark_id for item in fusion.contradictions} == {100000160, 100000466, 100000480}
+    assert {item.landmark_id for item in fusion.contradictions} == {
+        100000160,
+        100000466,
+        100000480,
+    }
 
 
 @pytest.mark.parametrize('name', ['brighton_drone', 'bal_ladybug49'])

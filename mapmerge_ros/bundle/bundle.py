@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -77,6 +77,10 @@ class Bundle:
     prior: FramePrior = FramePrior()
     sigma_px: float = 0.0
     """Noise of one image coordinate; 0 = unknown"""
+    prior_residuals_px: Floats = field(default_factory=lambda: np.zeros(0))
+    """
+    (7 - gauge,) how far the map has been moved away from what the prior says; empty = zeros.
+    """
 
     def __post_init__(self) -> None:
         m, n, o = len(self.keyframe_ids), len(self.point_ids), len(self.observation_points)
@@ -93,6 +97,10 @@ class Bundle:
             ('observations_px', np.float64, (o, 2)),
         ):
             object.__setattr__(self, name, frozen(name, getattr(self, name), dtype, shape))
+        known = 7 - int(self.gauge)
+        moved = self.prior_residuals_px if len(self.prior_residuals_px) else np.zeros(known)
+        moved = frozen('prior_residuals_px', moved, np.float64, (known,))
+        object.__setattr__(self, 'prior_residuals_px', moved)
         self._check_rows()
         self._check_observations()
 
@@ -148,9 +156,7 @@ class Bundle:
     def points_camera(self) -> Floats:
         """Observed points (o, 3) in the frame of the observing camera."""
         rotations = self.rotations_camera_map[self.observation_keyframes]
-        turned: Floats = np.einsum(
-            'oij,oj->oi', rotations, self.points[self.observation_points]
-        )
+        turned: Floats = np.einsum('oij,oj->oi', rotations, self.points[self.observation_points])
         return turned + self.translations_camera_map[self.observation_keyframes]
 
     def centres_map(self) -> Floats:
@@ -160,14 +166,21 @@ class Bundle:
         )
         return -offsets
 
-    def moved(self, pose_steps: Floats, point_steps: Floats) -> Bundle:
-        """Apply local steps: poses (m, 6) rotation vector [rad] and translation, points (n, 3)."""
+    def moved(
+        self, pose_steps: Floats, point_steps: Floats, prior_steps: Floats | float = 0.0
+    ) -> Bundle:
+        """
+        Apply local steps: poses (m, 6) rotation vector [rad] and translation, points (n, 3).
+
+        `prior_steps` (7 - gauge,) [px] is what that does to the residuals of the frame prior.
+        """
         turns = Rotation.from_rotvec(pose_steps[:, :3]).as_matrix()
         return replace(
             self,
             rotations_camera_map=turns @ self.rotations_camera_map,
             translations_camera_map=self.translations_camera_map + pose_steps[:, 3:],
             points=self.points + point_steps,
+            prior_residuals_px=self.prior_residuals_px + prior_steps,
         )
 
     def transformed(self, S_new_old: Similarity) -> Bundle:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -79,12 +79,14 @@ def compress(
     *,
     catalogue: bool = True,
     method: Method = 'auto',
+    dtype: type[np.floating[Any]] = np.float32,
 ) -> SubMap:
     """
     Compress a bundle to the given landmarks; the other points travel as catalogue.
 
     `landmark_ids` (m,) are the bundle's points that R is to be about; none makes a bare
     announcement. `catalogue` says whether position and descriptor of the others go along.
+    R is float32 as on the wire, unless `dtype` says float64.
 
     Raises
     ------
@@ -116,7 +118,7 @@ def compress(
         covariances=upper_from_symmetric(covariances),
         compressed_count=len(shared_rows),
         a=found.a,
-        packed_r=pack(found.r).astype(np.float32),
+        packed_r=pack(found.r).astype(dtype),
         c=found.c,
         residual_count=residual_count,
         dof=dof,
@@ -128,6 +130,17 @@ def compress(
 _NOTHING = Elimination(
     0.0, np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), np.zeros(0, np.int64)
 )
+
+
+def into_map(bundle: Bundle, rows: Ints, found: Elimination, points_global: Floats) -> Similarity:
+    """S_map_global as the fusion places this map: hard gauge, weighted by information."""
+    return align(
+        bundle.points[rows],
+        points_global,
+        gauge=bundle.gauge,
+        weights=alignment_weights(found.r),
+        scale='tangent',
+    ).S_target_source
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,13 +171,8 @@ def update(
     """
     lin, rows = linearise(bundle), bundle.rows_of(np.asarray(landmark_ids, np.uint64))
     found = eliminate(lin, rows, method)
-    S_map_global = align(
-        bundle.points[rows],
-        points_global,
-        gauge=bundle.gauge,
-        weights=alignment_weights(found.r),
-        scale='tangent',
-    ).S_target_source
+    S_map_global = into_map(bundle, rows, found, points_global)
     shared_steps = S_map_global.apply(points_global) - bundle.points[rows]
     pose_steps, point_steps = found.steps(lin, shared_steps)
-    return Update(bundle.moved(pose_steps, point_steps), S_map_global)
+    prior_steps = lin.prior_rows @ pose_steps.ravel()
+    return Update(bundle.moved(pose_steps, point_steps, prior_steps), S_map_global)

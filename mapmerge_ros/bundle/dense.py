@@ -53,5 +53,5 @@ def dense_jacobian(lin: Linearisation) -> tuple[Floats, Floats]:
     by_point[every, :, bundle.observation_points, :] = lin.by_point
     observed = np.hstack([by_pose.reshape(2 * o, -1), by_point.reshape(2 * o, -1)])
     known = np.hstack([lin.prior_rows, np.zeros((len(lin.prior_rows), 3 * n))])
-    residuals = np.concatenate([lin.residuals_px.ravel(), np.zeros(len(lin.prior_rows))])
+    residuals = np.concatenate([lin.residuals_px.ravel(), bundle.prior_residuals_px])
     return np.vstack([observed, known]), residuals

@@ -30,7 +30,8 @@ class Linearisation:
     @property
     def cost_px2(self) -> float:
         """R'r"""
-        return float(np.sum(self.residuals_px**2))
+        known = self.bundle.prior_residuals_px
+        return float(np.sum(self.residuals_px**2) + known @ known)
 
 
 def linearise(bundle: Bundle) -> Linearisation:

@@ -42,6 +42,7 @@ def eliminate_by_schur(lin: Linearisation, shared_rows: Ints) -> Elimination:
     pose_gradient = sum_by_keyframe(
         lin, np.einsum('oij,oi->oj', lin.by_pose, lin.residuals_px)
     ).ravel()
+    pose_gradient += lin.prior_rows.T @ lin.bundle.prior_residuals_px
 
     slot = np.full(len(points), -1)
     slot[shared_rows] = np.arange(len(shared_rows))
@@ -79,9 +80,7 @@ def eliminate_by_schur(lin: Linearisation, shared_rows: Ints) -> Elimination:
         shared_information, shared_gradient, gauge_basis(points[shared_rows], lin.bundle.gauge)
     )
     a2 = lin.cost_px2 - explained - float(offset @ offset) - float(c @ c)
-    back = scipy.linalg.solve_triangular(
-        factor, white, lower=True, trans='T', check_finite=False
-    )
+    back = scipy.linalg.solve_triangular(factor, white, lower=True, trans='T', check_finite=False)
     return Elimination(
         float(np.sqrt(max(a2, 0.0))), r, c, -back[:, :-1], -back[:, -1], shared_rows
     )

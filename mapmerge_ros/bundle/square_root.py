@@ -37,7 +37,7 @@ def eliminate_by_qr(lin: Linearisation, shared_rows: Ints) -> Elimination:
     is_shared = np.zeros(len(lin.bundle.point_ids), bool)
     is_shared[shared_rows] = True
     triangle = _Triangle(poses)
-    triangle.absorb(lin.prior_rows, np.zeros(len(lin.prior_rows)))
+    triangle.absorb(lin.prior_rows, lin.bundle.prior_residuals_px)
     heads: dict[int, tuple[Floats, Floats, Floats]] = {}
     for row, observations in enumerate(_observations_by_point(lin)):
         head, (pose_rows, rest) = _rotate_point_out(lin, observations)
@@ -62,9 +62,7 @@ def eliminate_by_qr(lin: Linearisation, shared_rows: Ints) -> Elimination:
         gauge_basis(lin.bundle.points[shared_rows], lin.bundle.gauge),
     )
     a2 += float(below[:, -1] @ below[:, -1]) - float(c @ c)
-    return Elimination(
-        float(np.sqrt(max(a2, 0.0))), r, c, -top[:, :-1], -top[:, -1], shared_rows
-    )
+    return Elimination(float(np.sqrt(max(a2, 0.0))), r, c, -top[:, :-1], -top[:, -1], shared_rows)
 
 
 def _observations_by_point(lin: Linearisation) -> list[Ints]:
@@ -86,9 +84,7 @@ def _rotate_point_out(
     return (root[:3], rows[:3], residuals[:3]), (rows[3:], residuals[3:])
 
 
-def _eliminate_poses(
-    by_pose: Floats, by_shared: Floats, vector: Floats
-) -> tuple[Floats, Floats]:
+def _eliminate_poses(by_pose: Floats, by_shared: Floats, vector: Floats) -> tuple[Floats, Floats]:
     """Pose steps as a function of [shared | 1], and the rows [shared | 1] free of the poses."""
     rotation, root = np.linalg.qr(by_pose, mode='complete')
     count = by_pose.shape[1]

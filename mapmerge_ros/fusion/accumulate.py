@@ -32,9 +32,7 @@ class Store:
             return Receipt(False, f'{submap.map_id} is the map that this fusion publishes')
         known = self._submaps.get(submap.map_id)
         if known is not None and known.revision >= submap.revision:
-            return Receipt(
-                False, f'revision {submap.revision} is not newer than {known.revision}'
-            )
+            return Receipt(False, f'revision {submap.revision} is not newer than {known.revision}')
         self._submaps[submap.map_id] = submap
         return Receipt(True)
 

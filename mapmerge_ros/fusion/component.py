@@ -106,9 +106,7 @@ def _solve(
 ) -> _Solution:
     elements = tuple(
         Element.from_submap(submap, tracks, is_shared[tracks], float(weight))
-        for submap, tracks, weight in zip(
-            submaps, association.tracks, noise.weights, strict=True
-        )
+        for submap, tracks, weight in zip(submaps, association.tracks, noise.weights, strict=True)
     )
     shared = np.flatnonzero(is_shared)
     slots = np.cumsum(is_shared) - 1
@@ -152,9 +150,7 @@ def _compress(
     )
     covariance = normal.covariance(noise.sigma)
     ids = track_ids(submaps, association)
-    S_global_maps = tuple(
-        placement.S_map_global.inverse() for placement in solution.placements
-    )
+    S_global_maps = tuple(placement.S_map_global.inverse() for placement in solution.placements)
     catalogue = build_catalogue(submaps, S_global_maps, association)
     keep = most_useful(association.views, ids, config.max_landmarks) & ~association.nameless
     component = Component(
@@ -178,9 +174,7 @@ def _compress(
     return Merged(component, S_global_maps, covariances)
 
 
-def _frame_covariance(
-    element: Element, placement: Placement, covariance: Floats
-) -> Floats:
+def _frame_covariance(element: Element, placement: Placement, covariance: Floats) -> Floats:
     at = coordinates(element.tracks)
     by_points = element.frame_by_points(placement)
     return np.asarray(by_points @ covariance[np.ix_(at, at)] @ by_points.T)

@@ -65,9 +65,7 @@ class Element:
     """(3s, 3s) R'R, made once"""
 
     @classmethod
-    def from_submap(
-        cls, submap: SubMap, tracks: Ints, is_shared: Mask, weight: float
-    ) -> Element:
+    def from_submap(cls, submap: SubMap, tracks: Ints, is_shared: Mask, weight: float) -> Element:
         """Element of a whole sub-map; its squared residuals count `weight` times."""
         r = np.sqrt(weight) * submap.triangle()
         weights = np.where(is_shared, alignment_weights(r), 0.0)

@@ -46,9 +46,7 @@ class Snapshot:
     revision: int = 1
 
 
-def fuse(
-    submaps: Iterable[SubMap] | Snapshot, config: FusionConfig | None = None
-) -> Fusion:
+def fuse(submaps: Iterable[SubMap] | Snapshot, config: FusionConfig | None = None) -> Fusion:
     """
     Merge sub-maps into one map per connected component, and test each.
 
@@ -206,9 +204,7 @@ def _why_detached(k: int, submaps: Sequence[SubMap], links: Sequence[Link]) -> s
     return f'no landmark in common with any other sub-map of id space {submaps[k].id_space!r}'
 
 
-def _left_out(
-    submaps: Iterable[SubMap], refusals: Iterable[Refusal]
-) -> list[MapAlignment]:
+def _left_out(submaps: Iterable[SubMap], refusals: Iterable[Refusal]) -> list[MapAlignment]:
     """Sub-maps that no component has: refused ones, and bare announcements."""
     reasons = {refusal.map_id: refusal.reason for refusal in refusals}
     left_out = []

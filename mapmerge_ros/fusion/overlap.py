@@ -58,9 +58,7 @@ def find_links(
     counts = association.shared_counts()
     weights = [alignment_weights(submap.triangle()) for submap in submaps]
     pairs = zip(*np.nonzero(np.triu(counts, 1)), strict=True)
-    return tuple(
-        _link(submaps, association, weights, (int(a), int(b)), config) for a, b in pairs
-    )
+    return tuple(_link(submaps, association, weights, (int(a), int(b)), config) for a, b in pairs)
 
 
 def components(count: int, links: Sequence[Link]) -> tuple[tuple[int, ...], ...]:
@@ -140,9 +138,7 @@ def _link(
     try:
         ratio = align(points_a, points_b, gauge=gauge).S_target_source.scale
         precision = _harmonic(weights[a][rows_a], weights[b][rows_b] / ratio**2)
-        S_a_b = align_robustly(
-            points_a, points_b, gauge=gauge, weights=precision
-        ).S_target_source
+        S_a_b = align_robustly(points_a, points_b, gauge=gauge, weights=precision).S_target_source
     except DegenerateGeometry as err:
         return Link(a, b, len(common), None, str(err))
     moved_b = S_a_b.apply(points_b)

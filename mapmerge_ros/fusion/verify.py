@@ -67,8 +67,16 @@ def verify(a_tilde: float, dof: int, noise: Noise, config: FusionConfig) -> Verd
     else:
         p_value = float(scipy.stats.chi2.sf(factor * dof, dof))
     accepted = p_value >= config.significance
-    reason = '' if accepted else (
-        f'the merge costs {factor:.3g} times what noise of {noise.sigma:.3g} px explains '
-        f'(p = {p_value:.2g} < {config.significance:g})'
+    reason = (
+        ''
+        if accepted
+        else (
+            f'the merge costs {factor:.3g} times what noise of {noise.sigma:.3g} px explains '
+            f'(p {_rounded(p_value)}, below {config.significance:g})'
+        )
     )
     return Verdict(a_tilde, dof, noise.sigma, factor, p_value, accepted, reason)
+
+
+def _rounded(p_value: float) -> str:
+    return f'= {p_value:.2g}' if p_value >= 1e-300 else '< 1e-300'

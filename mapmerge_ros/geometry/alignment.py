@@ -76,9 +76,7 @@ def align(
             factor = float(weights @ np.sum(centred_target**2, axis=1)) / overlap
         else:
             factor = overlap / float(weights @ np.sum(centred_source**2, axis=1))
-    S_target_source = Similarity(
-        factor, rotation, target_mean - factor * rotation @ source_mean
-    )
+    S_target_source = Similarity(factor, rotation, target_mean - factor * rotation @ source_mean)
     return _evaluate(S_target_source, target, source, weights, spread)
 
 
@@ -127,9 +125,7 @@ def _best_yaw(
     """Rotation about z maximising tr(R' correlation), and how well it is determined."""
     sine = correlation[1, 0] - correlation[0, 1]
     cosine = correlation[0, 0] + correlation[1, 1]
-    extent = np.sqrt(
-        (weights @ np.sum(target**2, axis=1)) * (weights @ np.sum(source**2, axis=1))
-    )
+    extent = np.sqrt((weights @ np.sum(target**2, axis=1)) * (weights @ np.sum(source**2, axis=1)))
     spread = float(np.hypot(sine, cosine) / extent) if extent > 0.0 else 0.0
     if spread < COLLINEAR_RATIO:
         raise DegenerateGeometry('the common points lie on a vertical line: yaw undetermined')

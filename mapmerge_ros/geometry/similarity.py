@@ -64,9 +64,7 @@ class Similarity:
     def inverse(self) -> Similarity:
         """Return the transform in the other direction."""
         inverse_rotation = self.rotation.T / self.scale
-        return Similarity(
-            1.0 / self.scale, self.rotation.T, -inverse_rotation @ self.translation
-        )
+        return Similarity(1.0 / self.scale, self.rotation.T, -inverse_rotation @ self.translation)
 
     def __matmul__(self, other: Similarity) -> Similarity:
         """S_a_b @ S_b_c = S_a_c."""

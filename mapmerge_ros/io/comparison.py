@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmerge_ros.arrays import Floats
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion import Fusion, Landmarks
 from mapmerge_ros.geometry import Gauge, Similarity, align_robustly
-from mapmerge_ros.io.truth import RecordingTruth
+from mapmerge_ros.io.true_values import RecordingTruth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +69,7 @@ def compare_with_truth(fusion: Fusion, truth: RecordingTruth) -> TruthComparison
 
 def _merged_points(
     landmarks: Landmarks, truth: RecordingTruth
-) -> list[tuple[int, np.ndarray[tuple[int], np.dtype[np.float64]]]]:
+) -> list[tuple[int, Floats]]:
     """True id and merged position of every landmark that several sub-maps have."""
     names = {
         true_map.map_id: dict(

@@ -14,7 +14,7 @@ import numpy as np
 
 from mapmerge_ros.fusion import Fusion
 from mapmerge_ros.io.map_points import MapPoints, map_points
-from mapmerge_ros.io.output import replacing
+from mapmerge_ros.io.output import OutputError, replacing
 from mapmerge_ros.io.palette import SHARED, colours
 from mapmerge_ros.io.recorder import McapRecorder
 from mapmerge_ros.io.typestore import SUBMAP
@@ -115,6 +115,9 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> tuple[Path, ...]
 
     """
     paths = tuple(folder / name for name in contents)
+    for path in paths:
+        if path.is_dir():
+            raise OutputError(f'{path}: is a folder: move it away')
     with ExitStack() as stack:
         streams = [stack.enter_context(replacing(path)) for path in paths]
         for stream, content in zip(streams, contents.values(), strict=True):

@@ -98,9 +98,7 @@ class SubMap:
     def _check_information(self) -> None:
         count = self.compressed_count
         if not 0 <= count <= len(self.landmark_ids):
-            raise InvalidValue(
-                f'compressed_count: {count} of {len(self.landmark_ids)} landmarks'
-            )
+            raise InvalidValue(f'compressed_count: {count} of {len(self.landmark_ids)} landmarks')
         if count and 3 * count <= int(self.gauge):
             raise InvalidValue(
                 f'compressed_count: {count} landmarks cannot carry a gauge of {int(self.gauge)}'

@@ -121,9 +121,7 @@ def _typical(diagonal: Floats) -> float:
     return float(np.mean(diagonal)) if len(diagonal) else 1.0
 
 
-def _without_gauge(
-    factor: Floats, vector: Floats, null_basis: Floats
-) -> tuple[Floats, Floats]:
+def _without_gauge(factor: Floats, vector: Floats, null_basis: Floats) -> tuple[Floats, Floats]:
     """Take the null space, which has been made definite, out of a square factor."""
     gauge = null_basis.shape[1]
     reflector = np.linalg.qr(factor @ null_basis, mode='complete')[0]

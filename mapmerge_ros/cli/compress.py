@@ -1,0 +1,202 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""`mapmerge compress`: COLMAP models to a recording of compressed sub-maps."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from mapmerge_ros.arrays import Ids
+from mapmerge_ros.bundle import Bundle, MapName, compress
+from mapmerge_ros.bundle.selection import best_tracks, matched
+from mapmerge_ros.cli import console, options
+from mapmerge_ros.cli.names import robot_names
+from mapmerge_ros.cli.options import Subparsers, UsageError
+from mapmerge_ros.cli.outputs import check_file, ros_name
+from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
+from mapmerge_ros.io import MAX_MESSAGE_BYTES, encode_submap, load_colmap, write_submaps
+from mapmerge_ros.io.wording import counted, readable_bytes
+from mapmerge_ros.submap import SubMap
+
+FIRST_STAMP_NS = STEP_NS = 1_000_000
+"""Models have no time of their own: a millisecond apart, in the order in which they are named."""
+
+DEFAULT_TRACKS = 100
+"""Landmarks of a single model: 184 kB; above about 114, R is larger than the observations."""
+
+DEFAULT_CAP = 500
+"""Matched landmarks of one model, 4.5 MB: all that real SLAM sessions share; strips share 5000."""
+
+_NO_COMMON_IDS = (
+    '--landmarks matched: the ids of separate models mean nothing to each other; '
+    'give --id-space NAME if equal point3D ids are the same point, else --landmarks N'
+)
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Register the command."""
+    parser = options.add_command(
+        subparsers,
+        'compress',
+        'COLMAP models to compressed sub-maps',
+        'Turn COLMAP models into one compressed sub-map each, in one recording.\n'
+        'A model is a folder with cameras, images, points3D (.bin or .txt), and optionally\n'
+        'descriptors.npz (point_id int64[n], descriptors uint8[n, 128|64|48|32]).',
+        '  mapmerge compress session_0 session_1 --id-space site -o site.mcap\n'
+        '  mapmerge compress session_0 --landmarks 150 --sigma 0.7 -o drone0.mcap\n'
+        '  mapmerge compress monday tuesday --robot rover --landmarks 100 -o rover.mcap',
+    )
+    add = parser.add_argument
+    add('models', nargs='+', type=Path, metavar='MODEL', help='folder of a COLMAP model')
+    add('-o', '--out', type=Path, required=True, metavar='OUT.mcap', help='recording to write')
+    add('--robot', type=options.name, metavar='NAME', help='all models are maps of this robot')
+    add(
+        '--landmarks',
+        type=_landmarks,
+        metavar='matched|N|all',
+        help='which points to compress: those that another model has too (default for several '
+        f'models), the N longest tracks (default for one: {DEFAULT_TRACKS}), or all',
+    )
+    add(
+        '--max-landmarks',
+        type=options.positive_int,
+        default=DEFAULT_CAP,
+        metavar='N',
+        help='at most so many matched points per model (default: %(default)s)',
+    )
+    add(
+        '--id-space',
+        type=options.name,
+        metavar='NAME',
+        help='the point3D ids of all models of this NAME mean the same points',
+    )
+    add(
+        '--gauge',
+        type=options.gauge,
+        default=options.gauge('7'),
+        metavar='7|6|4',
+        help='7 monocular (default), 6 metric scale, 4 metric with z up',
+    )
+    add('--sigma', type=options.positive, metavar='PX', help='noise of an image coordinate')
+    add('--no-catalogue', action='store_true', help='leave out what is not compressed')
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Load, select, compress, write."""
+    wanted = args.landmarks or ('matched' if len(args.models) > 1 else DEFAULT_TRACKS)
+    if wanted == 'matched' and not args.id_space:
+        raise UsageError(_NO_COMMON_IDS)
+    names = _map_names(args.models, args.robot, args.id_space or '')
+    check_file(args.out, '.mcap')
+    bundles = [
+        _load(model, args) for model in console.progress(args.models, 'reading', len(names))
+    ]
+    chosen = choose(bundles, wanted, args.max_landmarks)
+    work = zip(bundles, names, chosen, strict=True)
+    submaps = [
+        compress_or_announce(bundle, name, ids, catalogue=not args.no_catalogue)
+        for bundle, name, ids in console.progress(work, 'compressing', len(names))
+    ]
+    write_submaps(
+        args.out,
+        (
+            (f'/{ros_name(submap.robot_id)}/submap', submap.stamp_ns, submap)
+            for submap in submaps
+        ),
+    )
+    _show(bundles, submaps, args.out)
+    return 0
+
+
+def choose(
+    bundles: Sequence[Bundle], wanted: str | int, cap: int
+) -> tuple[Ids, ...]:
+    """Ids of the points to compress, per bundle."""
+    if wanted == 'matched':
+        return matched(bundles, cap)
+    if wanted == 'all':
+        return tuple(bundle.point_ids for bundle in bundles)
+    return tuple(best_tracks(bundle, int(wanted)) for bundle in bundles)
+
+
+def compress_or_announce(
+    bundle: Bundle, name: MapName, ids: Ids, *, catalogue: bool = True
+) -> SubMap:
+    """
+    Compress a bundle, or just announce it if these points cannot carry it.
+
+    Raises
+    ------
+    InvalidValue
+        The message would be too large.
+
+    """
+    size_bytes = 4 * (3 * len(ids)) ** 2 // 2
+    if size_bytes > MAX_MESSAGE_BYTES:
+        raise InvalidValue(
+            f'{name.map_id}: {len(ids)} landmarks make a message of '
+            f'{readable_bytes(size_bytes)}: choose fewer, --landmarks N or --max-landmarks N'
+        )
+    try:
+        if len(ids) < bundle.gauge.minimal_points:
+            raise DegenerateGeometry(
+                f'{bundle.gauge.minimal_points} landmarks are the least for gauge {bundle.gauge:d}'
+            )
+        return compress(bundle, name, ids, catalogue=catalogue)
+    except DegenerateGeometry as err:
+        console.warn(f'{name.map_id}: only announced, has {len(ids)} landmarks to share: {err}')
+        return compress(bundle, name, ids[:0])
+
+
+def _landmarks(text: str) -> str | int:
+    if text in ('matched', 'all'):
+        return text
+    try:
+        return options.positive_int(text)
+    except argparse.ArgumentTypeError:
+        raise argparse.ArgumentTypeError(f'{text!r} is not matched, all or a number') from None
+
+
+def _load(model: Path, args: argparse.Namespace) -> Bundle:
+    bundle = load_colmap(model, args.gauge)
+    return bundle if args.sigma is None else replace(bundle, sigma_px=args.sigma)
+
+
+def _map_names(models: Sequence[Path], robot: str | None, id_space: str) -> list[MapName]:
+    robots = [robot] * len(models) if robot else robot_names(models)
+    return [
+        MapName(
+            map_id=f'{own}/{k if robot else 0:04d}',
+            robot_id=own,
+            stamp_ns=FIRST_STAMP_NS + k * STEP_NS,
+            id_space=id_space,
+        )
+        for k, own in enumerate(robots)
+    ]
+
+
+def _show(bundles: Sequence[Bundle], submaps: Sequence[SubMap], out: Path) -> None:
+    shown = console.table(
+        'sub-map', '#key frames', '#points', '#observations', '#compressed', '#σ px', '#bytes'
+    )
+    total = 0
+    for bundle, submap in zip(bundles, submaps, strict=True):
+        size_bytes = len(encode_submap(submap))
+        total += size_bytes
+        shown.add_row(
+            submap.map_id,
+            str(len(bundle.keyframe_ids)),
+            str(len(bundle.point_ids)),
+            str(len(bundle.observations_px)),
+            str(submap.compressed_count) if submap.compressed_count else 'announced',
+            console.sigma(submap),
+            readable_bytes(size_bytes),
+        )
+    screen = console.stdout()
+    screen.print(shown)
+    summary = f'{counted(len(submaps), "sub-map")}, {readable_bytes(total)}'
+    screen.print(f'{summary}: {out}', soft_wrap=True)

@@ -1,0 +1,149 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""`mapmerge simulate`: drones over a yard as a recording, with the truth beside it."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mapmerge_ros.cli import console, options
+from mapmerge_ros.cli.options import Subparsers
+from mapmerge_ros.cli.outputs import check_file, ros_name
+from mapmerge_ros.io import replacing, write_submaps
+from mapmerge_ros.io.truth import RecordingTruth, TrueMap, TrueMove, truth_json, truth_path
+from mapmerge_ros.io.wording import counted, readable_bytes
+from mapmerge_ros.simulation import Fleet, FleetConfig, Sensing, simulate_fleet
+from mapmerge_ros.submap import SubMap
+
+RECORDING_NS = 20_000_000_000
+"""Length of a recording: long enough to watch a map grow, short enough to wait for."""
+
+FLEET, SENSING = FleetConfig(), Sensing()
+
+
+def add_parser(subparsers: Subparsers) -> None:
+    """Register the command."""
+    parser = options.add_command(
+        subparsers,
+        'simulate',
+        'drones over a yard as a recording, with truth',
+        'Fly drones over a simulated yard, bundle the map of each and write their compressed\n'
+        'sub-maps as a recording, one after the other. What is true goes to OUT.truth.json\n'
+        'beside OUT.mcap; replay then says how far the merged map is from it.',
+        '  mapmerge simulate drones.mcap\n'
+        '  mapmerge simulate moved.mcap --drones 6 --moved 2 --seed 7\n'
+        '  mapmerge simulate vio.mcap --gauge 4 --sigma 1.0',
+    )
+    add = parser.add_argument
+    add('out', type=Path, metavar='OUT.mcap', help='recording to write')
+    count, number = options.positive_int, options.positive
+    for option, kind, metavar, default, text in (
+        ('--drones', count, 'N', FLEET.drones, 'number of drones'),
+        ('--seed', options.natural, 'N', 0, 'the same seed gives the same recording'),
+        ('--keyframes', count, 'N', FLEET.keyframes, 'key frames per drone'),
+        ('--landmarks', count, 'N', FLEET.landmarks, 'landmarks in the cell of a drone'),
+        ('--sigma', number, 'PX', SENSING.sigma_px, 'noise of an image coordinate'),
+        ('--moved', options.natural, 'N', 0, 'objects that are moved between two visits'),
+        ('--moved-distance', number, 'M', FLEET.moved_distance, 'by how many metres'),
+    ):
+        help_text = f'{text} (default: %(default)s)'
+        add(option, type=kind, metavar=metavar, default=default, help=help_text)
+    add(
+        '--gauge',
+        type=options.gauge,
+        default=SENSING.gauge,
+        metavar='7|6|4',
+        help='7 monocular (default), 6 metric scale, 4 metric with z up',
+    )
+    add(
+        '--ids',
+        choices=('fleet', 'private'),
+        default=FLEET.ids,
+        help='fleet: equal ids are the same landmark (default); private: every drone numbers '
+        'its own, matching is by descriptors',
+    )
+    add('--no-descriptors', action='store_true', help='landmarks without descriptors')
+    add('--no-catalogue', action='store_true', help='leave out what is not compressed')
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate and write."""
+    check_file(args.out, '.mcap')
+    config = FleetConfig(
+        drones=args.drones,
+        keyframes=args.keyframes,
+        landmarks=args.landmarks,
+        sensing=Sensing(sigma_px=args.sigma, gauge=args.gauge),
+        ids=args.ids,
+        descriptors=not args.no_descriptors,
+        moved=args.moved,
+        moved_distance=args.moved_distance,
+    )
+    with console.working('simulating'):
+        fleet = simulate_fleet(config, args.seed)
+        submaps = recorded_submaps(fleet, catalogue=not args.no_catalogue)
+    truth_file = truth_path(args.out)
+    # Nested, so that neither of the two appears without the other.
+    with replacing(truth_file) as stream:
+        stream.write(truth_json(recording_truth(fleet)))
+        size_bytes = write_submaps(
+            args.out,
+            (
+                (f'/{ros_name(submap.robot_id)}/submap', submap.stamp_ns, submap)
+                for submap in submaps
+            ),
+        )
+    moved = f', {counted(args.moved, "object")} moved' if args.moved else ''
+    compressed = sum(submap.compressed_count for submap in submaps)
+    screen = console.stdout()
+    screen.print(
+        f'{counted(len(submaps), "drone")}, {compressed} compressed landmarks, '
+        f'{readable_bytes(size_bytes)}{moved}: {args.out} {truth_file.name}',
+        soft_wrap=True,
+    )
+    return 0
+
+
+def recorded_submaps(fleet: Fleet, *, catalogue: bool = True) -> tuple[SubMap, ...]:
+    """Sub-maps of a fleet, their stamps spread over the length of a recording."""
+    step_ns = RECORDING_NS // len(fleet.bundles)
+    return tuple(
+        replace(submap, stamp_ns=(k + 1) * step_ns)
+        for k, submap in enumerate(fleet.submaps(catalogue=catalogue))
+    )
+
+
+def recording_truth(fleet: Fleet) -> RecordingTruth:
+    """Truth about a fleet, as it goes beside the recording."""
+    truth = fleet.truth
+    seen = np.unique(np.concatenate(truth.landmark_ids))
+    return RecordingTruth(
+        landmark_ids=seen,
+        points_world=truth.points_world(seen),
+        maps=tuple(_true_map(fleet, robot) for robot in range(len(fleet.bundles))),
+        moved=tuple(
+            TrueMove(
+                landmark_ids=moved.landmark_ids,
+                map_ids=tuple(name.map_id for name in fleet.names[moved.first_visit_after :]),
+                displacement_world=moved.displacement_world,
+            )
+            for moved in truth.moved
+        ),
+    )
+
+
+def _true_map(fleet: Fleet, robot: int) -> TrueMap:
+    name, bundle = fleet.names[robot], fleet.bundles[robot]
+    is_private = not name.id_space
+    return TrueMap(
+        map_id=name.map_id,
+        robot_id=name.robot_id,
+        S_world_map=fleet.truth.S_world_map[robot],
+        own_ids=bundle.point_ids if is_private else bundle.point_ids[:0],
+        true_ids=fleet.truth.landmark_ids[robot] if is_private else bundle.point_ids[:0],
+    )

@@ -1,0 +1,153 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Drawings of the report: SVG that stands inside a page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.stats
+
+from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.fusion import Verdict
+from mapmerge_ros.geometry import Gauge
+from mapmerge_ros.io.map_points import SEVERAL, MapPoints
+from mapmerge_ros.io.palette import SHARED, colours, hexadecimal
+
+WIDTH, MIN_HEIGHT, MAX_HEIGHT = 720.0, 220.0, 760.0
+MAX_POINTS = 6000
+"""Drawn points: 60 kB of report, and more cannot be told apart."""
+
+OUTER_PERCENT = 1.0
+"""Share of the points on either side that may lie outside the drawing: SLAM maps have strays."""
+
+MAX_SPREADS = 12.0
+"""Standard deviations right of the mean up to which the density is drawn to scale."""
+
+
+def top_view(points: MapPoints, gauge: Gauge) -> str:
+    """
+    Map seen from above, or, where up is unknown, along its thinnest direction.
+
+    A scale bar is there if the map is metric.
+    """
+    if not len(points):
+        return ''
+    flat = _flattened(points.points_global, gauge)
+    low, high = _frame(flat)
+    scale = min(WIDTH / (high - low)[0], MAX_HEIGHT / (high - low)[1])
+    height = max(MIN_HEIGHT, float((high - low)[1] * scale))
+    shift = (np.array([WIDTH, height]) - scale * (high - low)) / 2.0
+    pixels = (flat - low) * scale + shift
+    pixels[:, 1] = height - pixels[:, 1]
+    inside = ((pixels >= 0.0) & (pixels <= [WIDTH, height])).all(axis=1)
+    rows = np.flatnonzero(inside)
+    drawn = rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_POINTS)).astype(int)]
+    bar = _scale_bar(scale, height) if gauge <= Gauge.RIGID else ''
+    return _svg(height, 'map seen from above', *_dots(points, pixels, drawn), bar)
+
+
+def _flattened(points_global: Floats, gauge: Gauge) -> Floats:
+    """Two coordinates (n, 2) of each point, right and up on paper."""
+    if gauge <= Gauge.YAW_TRANSLATION:
+        return points_global[:, :2].astype(float)
+    centred = points_global - np.median(points_global, axis=0)
+    near = np.linalg.norm(centred, axis=1)
+    core = centred[near <= np.percentile(near, 90.0)]
+    axes = np.linalg.svd(core, full_matrices=False)[2][:2] if len(core) > 2 else np.eye(3)[:2]
+    # An axis has no sign of its own: its largest entry shall be positive.
+    signs = np.sign(axes[np.arange(2), np.abs(axes).argmax(axis=1)])
+    flat: Floats = centred @ (axes * signs[:, None]).T
+    return flat
+
+
+def _frame(flat: Floats) -> tuple[Floats, Floats]:
+    low, high = np.percentile(flat, [OUTER_PERCENT, 100.0 - OUTER_PERCENT], axis=0)
+    margin = 0.06 * max(float((high - low).max()), 1e-9)
+    return low - margin, high + margin
+
+
+def _dots(points: MapPoints, pixels: Floats, drawn: Ints) -> list[str]:
+    """Paths of dots, one for each colour and size; shared landmarks last, on top."""
+    is_landmark = np.arange(len(points)) < points.landmark_count
+    palette = [*colours(len(points.map_ids)), SHARED]
+    owners = [*range(len(points.map_ids)), SEVERAL]
+    paths = []
+    for landmark, size, opacity in ((False, 3.2, 0.65), (True, 4.6, 0.9)):
+        for owner in owners:
+            rows = drawn[(points.owners[drawn] == owner) & (is_landmark[drawn] == landmark)]
+            colour = hexadecimal(palette[owner])
+            strokes = ''.join(f'M{x:.1f} {y:.1f}h0' for x, y in pixels[rows])
+            if strokes:
+                paths.append(
+                    f'<path d="{strokes}" stroke="{colour}" stroke-width="{size}" '
+                    f'stroke-opacity="{opacity}" stroke-linecap="round" fill="none"/>'
+                )
+    return paths
+
+
+def _scale_bar(scale: float, height: float) -> str:
+    """Bar of a round number of metres, about a fifth of the width."""
+    wanted = 0.2 * WIDTH / scale
+    power = 10.0 ** np.floor(np.log10(wanted))
+    metres = float(power * max(step for step in (1, 2, 5) if step * power <= wanted))
+    end, y = 16.0 + metres * scale, height - 14.0
+    return (
+        f'<path d="M16 {y - 5:.1f}V{y:.1f}H{end:.1f}V{y - 5:.1f}" class="ink" fill="none"/>'
+        f'<text x="{(16 + end) / 2:.1f}" y="{y - 8:.1f}" text-anchor="middle">{metres:g} m</text>'
+    )
+
+
+def density(verdict: Verdict, redundancy: int) -> str:
+    """
+    Expected ã/σ² if nothing is wrong, and what was found.
+
+    `redundancy` is what an estimated σ rests on; 0 = σ is known.
+    """
+    if not verdict.dof or not np.isfinite(verdict.variance_factor):
+        return ''
+    found = verdict.variance_factor * verdict.dof
+    dof, estimated = verdict.dof, max(redundancy, 5)
+    law = scipy.stats.f(dof, estimated, scale=dof) if redundancy else scipy.stats.chi2(dof)
+    mean, spread = float(law.mean()), float(law.std())
+    low = max(0.0, min(mean - 5.0 * spread, found - spread))
+    high = min(max(mean + 5.0 * spread, found + spread), mean + MAX_SPREADS * spread)
+    values = np.linspace(low, high, 300)
+    heights = law.pdf(values)
+    heights = heights / heights[np.isfinite(heights)].max()
+    right, base = WIDTH - 20.0, 190.0
+    x = 20.0 + (values - low) / (high - low) * (right - 20.0)
+    y = base - 150.0 * np.nan_to_num(heights, posinf=1.0)
+    curve = 'L'.join(f'{a:.1f} {b:.1f}' for a, b in zip(x, y, strict=True))
+    at = 20.0 + (min(found, high) - low) / (high - low) * (right - 20.0)
+    middle = 20.0 + (mean - low) / (high - low) * (right - 20.0)
+    return _svg(
+        222.0,
+        'expected and found price of merging',
+        f'<path d="M20 {base}L{curve}L{right} {base}Z" class="expected"/>',
+        f'<path d="M20 {base}H{right}" class="ink"/>',
+        f'<text x="{middle:.1f}" y="{base + 22}" text-anchor="middle">expected {mean:.0f}</text>',
+        *_mark(at, found, base, found > high, verdict.accepted),
+    )
+
+
+def _mark(
+    at: float, found: float, base: float, beyond: bool, accepted: bool
+) -> Sequence[str]:
+    kind = 'good' if accepted else 'bad'
+    anchor = 'end' if at > WIDTH / 2.0 else 'start'
+    offset = -8.0 if anchor == 'end' else 8.0
+    arrow = ' →' if beyond else ''
+    return (
+        f'<path d="M{at:.1f} 12V{base}" class="{kind}"/>',
+        f'<text x="{at + offset:.1f}" y="28" text-anchor="{anchor}" class="{kind}">'
+        f'found {found:.0f}{arrow}</text>',
+    )
+
+
+def _svg(height: float, title: str, *parts: str) -> str:
+    return (
+        f'<svg viewBox="0 0 {WIDTH:g} {height:.0f}" role="img" aria-label="{title}" '
+        f'xmlns="http://www.w3.org/2000/svg">{"".join(parts)}</svg>'
+    )

@@ -1,0 +1,69 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a fusion found, in sentences."""
+
+from __future__ import annotations
+
+from mapmerge_ros.fusion import Fusion, MapAlignment, State, Verdict
+from mapmerge_ros.io.comparison import TruthComparison
+
+
+def headline(fusion: Fusion) -> str:
+    """Say what was merged."""
+    merged, total = len(fusion.in_state(State.MERGED)), len(fusion.alignments)
+    if not merged:
+        if total == 1:
+            return 'Nothing to merge yet: there is only one sub-map.'
+        which = 'the two' if total == 2 else f'no two of the {total}'
+        return f'Nothing was merged: {which} sub-maps could {"not " * (total == 2)}be joined.'
+    count = len(fusion.components[0].landmarks.ids)
+    everyone = 'Both' if total == 2 else f'All {total}'
+    which = everyone if merged == total else f'{merged} of {total}'
+    return f'{which} sub-maps were merged into one map of {count} landmarks.'
+
+
+def belief(verdict: Verdict) -> str:
+    """Say whether the test believes the merge."""
+    if not verdict.dof:
+        return 'There is nothing to test: no landmark is held by more than one sub-map.'
+    if not verdict.accepted:
+        return f'The test does not believe it: {verdict.reason}.'
+    return (
+        f'The test believes it: the merge costs {verdict.variance_factor:.2f} times what noise '
+        f'of {verdict.sigma:.3g} px explains (p = {verdict.p_value:.2g}).'
+    )
+
+
+def verdict_sentences(fusion: Fusion) -> str:
+    """Say what was merged, and whether to believe it."""
+    if not fusion.in_state(State.MERGED):
+        return headline(fusion)
+    return f'{headline(fusion)} {belief(fusion.verdict)}'
+
+
+def left_out(fusion: Fusion) -> tuple[MapAlignment, ...]:
+    """Sub-maps that are not in the published map."""
+    return tuple(item for item in fusion.alignments if item.state is not State.MERGED)
+
+
+def against_truth(found: TruthComparison) -> str:
+    """Say how far the map is from the truth."""
+    share = found.median_error / found.radius
+    return (
+        f'Against the truth: {found.count} shared landmarks are {found.median_error:.3g} m off '
+        f'(median; {share:.2%} of the scene), root mean square {found.rmse:.3g} m.'
+    )
+
+
+def counted(count: int, noun: str) -> str:
+    """Say '1 drone', '4 drones'."""
+    return f'{count} {noun}' if count == 1 else f'{count} {noun}s'
+
+
+def readable_bytes(count: float) -> str:
+    """184 kB"""
+    for unit in ('B', 'kB', 'MB'):
+        if count < 1000.0:
+            return f'{count:.3g} {unit}'
+        count /= 1000.0
+    return f'{count:.3g} GB'
