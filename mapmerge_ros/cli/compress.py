@@ -6,29 +6,21 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from mapmerge_ros.arrays import Ids
 from mapmerge_ros.bundle import Bundle, MapName, compress
 from mapmerge_ros.bundle.selection import best_tracks, matched
-from mapmerge_ros.cli import console, options
-from mapmerge_ros.cli.names import robot_names
+from mapmerge_ros.cli import console, models, options
 from mapmerge_ros.cli.options import Subparsers, UsageError
 from mapmerge_ros.cli.outputs import check_file, ros_name
 from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
-from mapmerge_ros.io import MAX_MESSAGE_BYTES, encode_submap, load_colmap, write_submaps
+from mapmerge_ros.io import MAX_MESSAGE_BYTES, encode_submap, write_submaps
 from mapmerge_ros.io.wording import counted, readable_bytes
 from mapmerge_ros.submap import SubMap
 
-FIRST_STAMP_NS = STEP_NS = 1_000_000
-"""Models have no time of their own: a millisecond apart, in the order in which they are named."""
-
 DEFAULT_TRACKS = 100
 """Landmarks of a single model: 184 kB; above about 114, R is larger than the observations."""
-
-DEFAULT_CAP = 500
-"""Matched landmarks of one model, 4.5 MB: all that real SLAM sessions share; strips share 5000."""
 
 _NO_COMMON_IDS = (
     '--landmarks matched: the ids of separate models mean nothing to each other; '
@@ -50,9 +42,8 @@ def add_parser(subparsers: Subparsers) -> None:
         '  mapmerge compress monday tuesday --robot rover --landmarks 100 -o rover.mcap',
     )
     add = parser.add_argument
-    add('models', nargs='+', type=Path, metavar='MODEL', help='folder of a COLMAP model')
+    models.add_arguments(parser)
     add('-o', '--out', type=Path, required=True, metavar='OUT.mcap', help='recording to write')
-    add('--robot', type=options.name, metavar='NAME', help='all models are maps of this robot')
     add(
         '--landmarks',
         type=_landmarks,
@@ -60,27 +51,6 @@ def add_parser(subparsers: Subparsers) -> None:
         help='which points to compress: those that another model has too (default for several '
         f'models), the N longest tracks (default for one: {DEFAULT_TRACKS}), or all',
     )
-    add(
-        '--max-landmarks',
-        type=options.positive_int,
-        default=DEFAULT_CAP,
-        metavar='N',
-        help='at most so many matched points per model (default: %(default)s)',
-    )
-    add(
-        '--id-space',
-        type=options.name,
-        metavar='NAME',
-        help='the point3D ids of all models of this NAME mean the same points',
-    )
-    add(
-        '--gauge',
-        type=options.gauge,
-        default=options.gauge('7'),
-        metavar='7|6|4',
-        help='7 monocular (default), 6 metric scale, 4 metric with z up',
-    )
-    add('--sigma', type=options.positive, metavar='PX', help='noise of an image coordinate')
     add('--no-catalogue', action='store_true', help='leave out what is not compressed')
     parser.set_defaults(run=run)
 
@@ -90,11 +60,9 @@ def run(args: argparse.Namespace) -> int:
     wanted = args.landmarks or ('matched' if len(args.models) > 1 else DEFAULT_TRACKS)
     if wanted == 'matched' and not args.id_space:
         raise UsageError(_NO_COMMON_IDS)
-    names = _map_names(args.models, args.robot, args.id_space or '')
+    names = models.map_names(args)
     check_file(args.out, '.mcap')
-    bundles = [
-        _load(model, args) for model in console.progress(args.models, 'reading', len(names))
-    ]
+    bundles = models.load(args)
     chosen = choose(bundles, wanted, args.max_landmarks)
     work = zip(bundles, names, chosen, strict=True)
     submaps = [
@@ -103,18 +71,13 @@ def run(args: argparse.Namespace) -> int:
     ]
     write_submaps(
         args.out,
-        (
-            (f'/{ros_name(submap.robot_id)}/submap', submap.stamp_ns, submap)
-            for submap in submaps
-        ),
+        ((f'/{ros_name(submap.robot_id)}/submap', submap.stamp_ns, submap) for submap in submaps),
     )
     _show(bundles, submaps, args.out)
     return 0
 
 
-def choose(
-    bundles: Sequence[Bundle], wanted: str | int, cap: int
-) -> tuple[Ids, ...]:
+def choose(bundles: Sequence[Bundle], wanted: str | int, cap: int) -> tuple[Ids, ...]:
     """Ids of the points to compress, per bundle."""
     if wanted == 'matched':
         return matched(bundles, cap)
@@ -159,24 +122,6 @@ def _landmarks(text: str) -> str | int:
         return options.positive_int(text)
     except argparse.ArgumentTypeError:
         raise argparse.ArgumentTypeError(f'{text!r} is not matched, all or a number') from None
-
-
-def _load(model: Path, args: argparse.Namespace) -> Bundle:
-    bundle = load_colmap(model, args.gauge)
-    return bundle if args.sigma is None else replace(bundle, sigma_px=args.sigma)
-
-
-def _map_names(models: Sequence[Path], robot: str | None, id_space: str) -> list[MapName]:
-    robots = [robot] * len(models) if robot else robot_names(models)
-    return [
-        MapName(
-            map_id=f'{own}/{k if robot else 0:04d}',
-            robot_id=own,
-            stamp_ns=FIRST_STAMP_NS + k * STEP_NS,
-            id_space=id_space,
-        )
-        for k, own in enumerate(robots)
-    ]
 
 
 def _show(bundles: Sequence[Bundle], submaps: Sequence[SubMap], out: Path) -> None:

@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
         if truth is not None:
             check, found = compare_arrived_with_truth(arrived, fusion, truth)
             checks.append(check)
-        files = write_results(folder, fusion, playback, [args.recording], found)
+        files = write_results(folder, fusion, playback.traffic, [args.recording], found)
     show(screen, fusion, found, checks, files)
     failed = [check.name for check in checks if not check.passed]
     if failed:

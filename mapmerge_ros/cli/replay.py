@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mapmerge_ros.cli import console, options
@@ -16,7 +16,7 @@ from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
 from mapmerge_ros.fusion import Fusion, FusionConfig, State
 from mapmerge_ros.io.exports import global_map_mcap, global_map_ply, landmarks_csv, write_files
 from mapmerge_ros.io.report import report_html
-from mapmerge_ros.io.summary import summarise, summary_json
+from mapmerge_ros.io.summary import Traffic, summarise, summary_json
 from mapmerge_ros.io.truth import TruthComparison, compare_with_truth, load_truth, truth_path
 from mapmerge_ros.io.wording import against_truth, readable_bytes, verdict_sentences
 
@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
         with output_folder(folder):
             fusion = playback.run()
             truth = _compare(fusion, truth_file) if len(args.bags) == 1 else None
-            files = write_results(folder, fusion, playback, args.bags, truth)
+            files = write_results(folder, fusion, playback.traffic, args.bags, truth)
     _show(fusion, playback, truth, files)
     return 0
 
@@ -117,12 +117,13 @@ def default_folder(bag: Path) -> Path:
 def write_results(
     folder: Path,
     fusion: Fusion,
-    playback: Playback,
-    bags: Sequence[Path],
+    traffic: Traffic,
+    sources: Sequence[Path],
     truth: TruthComparison | None = None,
+    more: Mapping[str, bytes] | None = None,
 ) -> tuple[Path, ...]:
     """
-    Write all result files; none of them appears before all are complete.
+    Write all result files, and `more`; none of them appears before all are complete.
 
     Raises
     ------
@@ -130,7 +131,7 @@ def write_results(
         One of them cannot be written.
 
     """
-    summary = summarise(fusion, playback.traffic)
+    summary = summarise(fusion, traffic)
     if truth:
         summary['truth'] = {
             'count': truth.count,
@@ -138,7 +139,7 @@ def write_results(
             'rmse': truth.rmse,
             'radius': truth.radius,
         }
-    title = ', '.join(bag.resolve().name for bag in bags)
+    title = ', '.join(source.resolve().name for source in sources)
     return write_files(
         folder,
         {
@@ -147,6 +148,7 @@ def write_results(
             'global_map.mcap': global_map_mcap(fusion),
             'global_map.ply': global_map_ply(fusion),
             'report.html': report_html(fusion, summary, title, truth),
+            **(more or {}),
         },
     )
 

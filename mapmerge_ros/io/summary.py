@@ -54,6 +54,7 @@ def summarise(fusion: Fusion, traffic: Traffic | None = None) -> dict[str, Any]:
             {'landmark': x.landmark_id, 'a': x.a, 'b': x.b} for x in fusion.contradictions
         ],
         'iterations': first.iterations if first else 0,
+        'starts': first.starts if first else 0,
         'converged': first.converged if first else False,
         'anchor': first.anchor if first else None,
         'gauge': int(first.gauge) if first else None,
