@@ -45,7 +45,7 @@ $(VENV)/.installed: setup.py pyproject.toml $(wildcard msg_schemas/*/*.?? msg_sc
 	@touch $@
 
 $(VENV)/.tested: $(VENV)/.installed
-	$(PIP) install -e '.[colmap,ros,test]'
+	$(PIP) install -e '.[colmap,experiments,ros,test]'
 	@touch $@
 
 $(VENV)/.colcon: $(VENV)/.installed msg_schemas/requirements-colcon.txt

@@ -17,6 +17,8 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
+        (f'share/{package_name}/config', ['config/fusion.yaml']),
+        (f'share/{package_name}/launch', ['launch/fusion.launch.py']),
     ],
     python_requires='>=3.10',
     install_requires=[
@@ -31,6 +33,7 @@ setup(
     ],
     extras_require={
         'colmap': ['pycolmap>=4.2'],
+        'experiments': ['matplotlib>=3.7', 'pycolmap>=4.2'],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': [
             'mcap-ros2-support>=0.5',

@@ -1,0 +1,143 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""`/diagnostics`: whether all is well, what is there, and who sends what."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_msgs.msg import Header
+
+from mapmerge_ros.fusion import Fusion, MapAlignment, State
+from mapmerge_ros.nodes.ledger import Ledger
+
+REFUSAL_WARNS_NS = 10_000_000_000
+"""How long a refused message keeps the node at WARN: long enough to be seen in a monitor."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Health:
+    """All that the diagnostics are made of."""
+
+    name: str
+    """Of the node"""
+    now_ns: int
+    ledger: Ledger
+    fusion: Fusion | None
+    """The last one that succeeded"""
+    merged_ns: int | None
+    """When"""
+    error: str
+    """Why the last merge failed; empty if it did not"""
+    incompatible: tuple[str, ...]
+    """Publishers that cannot reach the node"""
+
+    def message(self, stamp: Any) -> Any:
+        """DiagnosticArray: the node first, then each robot."""
+        robots = [self._robot(robot_id) for robot_id in sorted(self.ledger.robots)]
+        return DiagnosticArray(header=Header(stamp=stamp), status=[self._node(), *robots])
+
+    def _node(self) -> Any:
+        level, text = self._verdict()
+        fusion, ledger = self.fusion, self.ledger
+        values: dict[str, object] = {
+            'sub_maps': len(ledger.maps),
+            **({} if fusion is None else _merge_values(fusion)),
+            'last_merge_s_ago': self._seconds_since(self.merged_ns),
+            'messages_received': ledger.received,
+            'messages_refused': ledger.refused,
+            'messages_ignored': ledger.ignored,
+            'last_refusal': ledger.last_refusal,
+            'bytes_in': ledger.bytes_in,
+            'bytes_out': ledger.bytes_out,
+            'incompatible_publishers': '; '.join(self.incompatible),
+        }
+        return _status(level, f'{self.name}: fusion', text, '', values)
+
+    def _verdict(self) -> tuple[Any, str]:
+        """Level and what to say; the worst first."""
+        if self.error:
+            return DiagnosticStatus.ERROR, f'merge failed: {self.error}'
+        warnings = [*self._doubts(), *self.incompatible]
+        refusal_ns = self.ledger.last_refusal_ns
+        if refusal_ns is not None and self.now_ns - refusal_ns < REFUSAL_WARNS_NS:
+            warnings.append(f'message refused: {self.ledger.last_refusal}')
+        if warnings:
+            return DiagnosticStatus.WARN, '; '.join(warnings)
+        if self.fusion is None or not self.fusion.alignments:
+            return DiagnosticStatus.OK, 'waiting for sub-maps'
+        merged = len(self.fusion.in_state(State.MERGED))
+        return DiagnosticStatus.OK, f'{merged} of {len(self.fusion.alignments)} sub-maps merged'
+
+    def _doubts(self) -> list[str]:
+        """Return what speaks against the last merge."""
+        if self.fusion is None:
+            return []
+        doubts = [] if self.fusion.verdict.accepted else [self.fusion.verdict.reason]
+        detached = len(self.fusion.in_state(State.DETACHED))
+        refused = len(self.fusion.in_state(State.REFUSED))
+        contradictions = len(self.fusion.contradictions)
+        if detached and len(self.fusion.alignments) > 1:  # a first sub-map has nobody to join
+            doubts.append(f'{detached} sub-maps detached')
+        if refused:
+            doubts.append(f'{refused} sub-maps refused')
+        if contradictions:
+            doubts.append(f'{contradictions} ids contradict the geometry')
+        return doubts
+
+    def _robot(self, robot_id: str) -> Any:
+        record = self.ledger.robots[robot_id]
+        maps = {name: x for name, x in self.ledger.maps.items() if x.robot_id == robot_id}
+        found = [item for item in self._alignments() if item.submap.map_id in maps]
+        worst = max(found, key=lambda item: item.state, default=None)
+        state = 'received' if worst is None else worst.state.name.lower()
+        reason = '' if worst is None else worst.reason
+        values = {
+            'last_heard_s_ago': f'{record.age_s(self.now_ns):.1f}',
+            'messages': record.messages,
+            'maps': len(maps),
+            'revision': ' '.join(f'{name}:{held.revision}' for name, held in maps.items()),
+            'landmarks': sum(held.landmarks for held in maps.values()),
+            'bytes': record.size_bytes,
+            'bytes_per_s': f'{record.bytes_per_s(self.now_ns):.0f}',
+            'state': state,
+            'reason': reason,
+        }
+        is_fine = worst is None or worst.state is State.MERGED or len(self._alignments()) == 1
+        level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
+        return _status(level, f'{self.name}: robot {robot_id}', reason or state, robot_id, values)
+
+    def _alignments(self) -> tuple[MapAlignment, ...]:
+        return () if self.fusion is None else self.fusion.alignments
+
+    def _seconds_since(self, time_ns: int | None) -> str:
+        return 'never' if time_ns is None else f'{max(self.now_ns - time_ns, 0) * 1e-9:.1f}'
+
+
+def _merge_values(fusion: Fusion) -> dict[str, object]:
+    verdict, components = fusion.verdict, fusion.components
+    return {
+        'merged': len(fusion.in_state(State.MERGED)),
+        'detached': len(fusion.in_state(State.DETACHED)),
+        'refused': len(fusion.in_state(State.REFUSED)),
+        'landmarks': len(components[0].landmarks.ids) if components else 0,
+        'contradictions': len(fusion.contradictions),
+        'variance_factor': f'{verdict.variance_factor:.4g}',
+        'p_value': f'{verdict.p_value:.4g}',
+        'merge_total_s': f'{fusion.timing.total_s:.3f}',
+    }
+
+
+def _status(
+    level: Any, name: str, text: str, hardware_id: str, values: Mapping[str, object]
+) -> Any:
+    return DiagnosticStatus(
+        level=level,
+        name=name,
+        message=text,
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+    )

@@ -1,0 +1,121 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Topics of sub-maps, subscribed to as they appear."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from mapmerge_msgs.msg import SubMap
+from rclpy.event_handler import SubscriptionEventCallbacks
+
+from mapmerge_ros.io.typestore import SUBMAP
+from mapmerge_ros.nodes.parameters import NodeSettings
+from mapmerge_ros.nodes.quality import Quality, demand
+
+Receive = Callable[[bytes], None]
+"""Takes a serialised message."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Subscribed:
+    subscription: Any
+    quality: Quality
+
+
+class SubmapTopics:
+    """
+    Subscriptions to `submaps` and to every topic of type SubMap with a matching name.
+
+    Messages come as bytes: a recording and a robot go through the same decoder.
+    """
+
+    def __init__(
+        self, node: Any, settings: NodeSettings, receive: Receive, own_topics: frozenset[str]
+    ) -> None:
+        self._node = node
+        self._settings = settings
+        self._receive = receive
+        self._own_topics = own_topics
+        self._subscribed: dict[str, _Subscribed] = {}
+        self._warned: set[str] = set()
+        self.incompatible: tuple[str, ...] = ()
+        """Publishers that cannot reach us, and why"""
+        self._subscribe(node.resolve_topic_name('submaps'))
+
+    def poll(self) -> None:
+        """Look for topics and publishers that have come or gone."""
+        for topic, types in self._node.get_topic_names_and_types():
+            if topic in self._own_topics or not self._is_wanted(topic):
+                continue
+            others = sorted(set(types) - {SUBMAP})
+            if others:
+                self._warn(f'{topic}: of type {", ".join(others)}, expected {SUBMAP}')
+            if SUBMAP in types and topic not in self._subscribed:
+                self._subscribe(topic)
+        self.incompatible = tuple(
+            line for topic in tuple(self._subscribed) for line in self._adapt(topic)
+        )
+        for line in self.incompatible:
+            self._warn(f'{line}: none of its messages arrive')
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of the topics that are subscribed to."""
+        return tuple(sorted(self._subscribed))
+
+    def _is_wanted(self, topic: str) -> bool:
+        pattern = self._settings.discovery_pattern
+        return topic in self._subscribed or pattern.fullmatch(topic) is not None
+
+    def _subscribe(self, topic: str) -> None:
+        offers = [Quality.offered_by(publisher) for publisher in self._publishers(topic)]
+        quality = demand(offers, self._settings)
+        subscription = self._node.create_subscription(
+            SubMap,
+            topic,
+            self._receive,
+            quality.profile(self._settings.depth),
+            raw=True,
+            # The default one warns without a name; `poll` does it better.
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=lambda _: None),
+        )
+        self._subscribed[topic] = _Subscribed(subscription, quality)
+        self._node.get_logger().info(f'listening to {topic}')
+
+    def _adapt(self, topic: str) -> list[str]:
+        """Demand what the publishers of today offer; a line for each that offers less."""
+        publishers = self._publishers(topic)
+        offers = [Quality.offered_by(publisher) for publisher in publishers]
+        old = self._subscribed[topic]
+        if offers and demand(offers, self._settings) != old.quality:
+            self._subscribe(topic)
+            self._drain(old.subscription)
+            self._node.destroy_subscription(old.subscription)
+        quality = self._subscribed[topic].quality
+        return [
+            f'{_name(publisher)} offers {missing} on {topic}'
+            for publisher, offer in zip(publishers, offers, strict=True)
+            if (missing := quality.missing_from(offer))
+        ]
+
+    def _drain(self, subscription: Any) -> None:
+        """Read what has arrived before the subscription goes."""
+        with subscription.handle:
+            while (taken := subscription.handle.take_message(SubMap, True)) is not None:
+                self._receive(taken[0])
+
+    def _publishers(self, topic: str) -> list[Any]:
+        found = self._node.get_publishers_info_by_topic(topic)
+        return [publisher for publisher in found if publisher.topic_type == SUBMAP]
+
+    def _warn(self, line: str) -> None:
+        if line not in self._warned:
+            self._warned.add(line)
+            self._node.get_logger().warning(line)
+
+
+def _name(publisher: Any) -> str:
+    return f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'

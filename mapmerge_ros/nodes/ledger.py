@@ -1,0 +1,99 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What has been received: counters of the node, of every robot, and the maps that are held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mapmerge_ros.submap import SubMap
+
+MAX_REASONS = 1000
+"""Different refusals that are remembered: a broken robot must not fill the memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """A sub-map that the engine has taken in."""
+
+    robot_id: str
+    revision: int
+    landmarks: int
+
+
+@dataclass(slots=True)
+class RobotRecord:
+    """What one robot has sent."""
+
+    first_ns: int
+    last_ns: int
+    messages: int = 0
+    size_bytes: int = 0
+
+    def age_s(self, now_ns: int) -> float:
+        """Seconds since its last message."""
+        return max(now_ns - self.last_ns, 0) * 1e-9
+
+    def bytes_per_s(self, now_ns: int) -> float:
+        """Mean rate since its first message; over a second at least."""
+        return self.size_bytes / max((now_ns - self.first_ns) * 1e-9, 1.0)
+
+
+@dataclass(slots=True)
+class Ledger:
+    """Counters since the start of the node; times are node time."""
+
+    received: int = 0
+    refused: int = 0
+    """Of those received: failed the checks"""
+    ignored: int = 0
+    """Of those received: no newer than what was there"""
+    bytes_in: int = 0
+    bytes_out: int = 0
+    last_refusal: str = ''
+    last_refusal_ns: int | None = None
+    robots: dict[str, RobotRecord] = field(default_factory=dict)
+    maps: dict[str, Held] = field(default_factory=dict)
+    """By map_id, those that the engine holds"""
+    _reasons: set[str] = field(default_factory=set)
+
+    def count(self, size_bytes: int) -> None:
+        """Count a message before it is looked at."""
+        self.received += 1
+        self.bytes_in += size_bytes
+
+    def refuse(self, reason: str, now_ns: int) -> bool:
+        """Book a message that failed the checks; whether this is new and worth a line."""
+        self.refused += 1
+        self.last_refusal, self.last_refusal_ns = reason, now_ns
+        if reason in self._reasons or len(self._reasons) >= MAX_REASONS:
+            return False
+        self._reasons.add(reason)
+        return True
+
+    def hear(self, submap: SubMap, size_bytes: int, now_ns: int, *, accepted: bool) -> None:
+        """Book a valid message on its robot, and its map if the engine has taken it in."""
+        record = self.robots.setdefault(submap.robot_id, RobotRecord(now_ns, now_ns))
+        record.messages += 1
+        record.size_bytes += size_bytes
+        record.last_ns = now_ns
+        if accepted:
+            count = len(submap.landmark_ids)
+            self.maps[submap.map_id] = Held(submap.robot_id, submap.revision, count)
+        else:
+            self.ignored += 1
+
+    def matching(self, map_id: str, robot_id: str) -> tuple[str, ...]:
+        """Maps of this name and of this robot; an empty name is any."""
+        return tuple(
+            name
+            for name, held in self.maps.items()
+            if map_id in ('', name) and robot_id in ('', held.robot_id)
+        )
+
+    def forget(self, map_ids: tuple[str, ...]) -> None:
+        """Drop maps, and the robots that have none left."""
+        for map_id in map_ids:
+            self.maps.pop(map_id, None)
+        left = {held.robot_id for held in self.maps.values()}
+        self.robots = {name: record for name, record in self.robots.items() if name in left}

@@ -1,0 +1,124 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a fusion found, as messages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Quaternion, Vector3
+from mapmerge_msgs.msg import Alignment, AlignmentArray, FusionStatus
+from scipy.spatial.transform import Rotation
+from std_msgs.msg import Header
+
+from mapmerge_ros.arrays import Floats
+from mapmerge_ros.fusion import Fusion, FusionConfig, MapAlignment, State
+from mapmerge_ros.geometry import Similarity, skew
+from mapmerge_ros.nodes.ledger import Ledger
+
+NO_COMPONENT = 2**32 - 1
+"""`Alignment.component` of a sub-map that is in none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outgoing:
+    """A fusion with its stamp: all that is published of it."""
+
+    fusion: Fusion
+    stamp: Any
+    """builtin_interfaces/Time, node time of the end of the merge"""
+    config: FusionConfig
+
+    @property
+    def header(self) -> Any:
+        """Header in the global frame."""
+        return Header(stamp=self.stamp, frame_id=self.config.global_frame)
+
+    def alignments(self) -> Any:
+        """AlignmentArray of every sub-map that the engine held."""
+        found = [_alignment(item) for item in self.fusion.alignments]
+        return AlignmentArray(header=self.header, alignments=found)
+
+    def status(self, ledger: Ledger) -> Any:
+        """FusionStatus with the evidence of this fusion and the counters of the node."""
+        message = FusionStatus(header=self.header, global_map_id=self.config.map_id)
+        fill_counters(message, ledger)
+        _fill_counts(message, self.fusion)
+        _fill_evidence(message, self.fusion)
+        return message
+
+
+def fill_counters(message: Any, ledger: Ledger) -> None:
+    """Write the counters of the node into a FusionStatus."""
+    message.bytes_in = ledger.bytes_in
+    message.bytes_out = ledger.bytes_out
+    message.messages_received = ledger.received
+    message.messages_refused = ledger.refused
+
+
+def _fill_counts(message: Any, fusion: Fusion) -> None:
+    message.sub_maps = len(fusion.alignments)
+    message.merged = len(fusion.in_state(State.MERGED))
+    message.detached = len(fusion.in_state(State.DETACHED))
+    message.refused = len(fusion.in_state(State.REFUSED))
+    if fusion.components:
+        component = fusion.components[0]
+        message.revision = component.submap.revision
+        message.landmarks = len(component.landmarks.ids)
+        views = np.bincount(component.landmarks.member_rows)
+        message.shared_landmarks = int(np.count_nonzero(views > 1))
+        message.iterations = component.iterations
+        message.converged = bool(component.converged)
+
+
+def _fill_evidence(message: Any, fusion: Fusion) -> None:
+    verdict, timing = fusion.verdict, fusion.timing
+    message.a_tilde = float(verdict.a_tilde)
+    message.dof = int(verdict.dof)
+    message.sigma = float(verdict.sigma)
+    message.variance_factor = float(verdict.variance_factor)
+    message.p_value = float(verdict.p_value)
+    message.accepted = bool(verdict.accepted)
+    message.reason = verdict.reason
+    message.associate_s = timing.associate_s
+    message.merge_s = timing.merge_s
+    message.test_s = timing.test_s
+    message.total_s = timing.total_s
+
+
+def _alignment(item: MapAlignment) -> Any:
+    S_global_map = item.S_global_map
+    x, y, z, w = map(float, Rotation.from_matrix(S_global_map.rotation).as_quat())
+    return Alignment(
+        map_id=item.submap.map_id,
+        robot_id=item.submap.robot_id,
+        revision=item.submap.revision,
+        frame_id=item.submap.frame_id,
+        state=int(item.state),
+        reason=item.reason,
+        component=item.component if item.component >= 0 else NO_COMPONENT,
+        scale=S_global_map.scale,
+        rotation=Quaternion(x=x, y=y, z=z, w=w),
+        translation=_vector(S_global_map.translation),
+        covariance=covariance_of_parts(S_global_map, item.covariance).ravel(),
+    )
+
+
+def covariance_of_parts(S_global_map: Similarity, covariance: Floats) -> Floats:
+    """
+    Covariance (7, 7) of rotation, translation and log scale, each by itself.
+
+    The engine's is that of the left tangent of the whole transform, in which a turn about the
+    global origin moves the translation too.
+    """
+    parts = np.eye(7)
+    parts[3:6, :3] = -skew(S_global_map.translation)
+    parts[3:6, 6] = S_global_map.translation
+    return np.asarray(parts @ covariance @ parts.T, np.float64)
+
+
+def _vector(values: Floats) -> Any:
+    x, y, z = map(float, values)
+    return Vector3(x=x, y=y, z=z)

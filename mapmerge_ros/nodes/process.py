@@ -1,0 +1,58 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The life of a process with one node: started, spun, and ended by a signal without a word."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException
+
+from mapmerge_ros.errors import MapMergeError
+
+
+class ClosableNode(Protocol):
+    """A node that has something to end before it goes."""
+
+    def close(self) -> None:
+        """End threads and files."""
+        ...
+
+    def destroy_node(self) -> None:
+        """End what the middleware holds."""
+        ...
+
+
+def run_node(make: Callable[[], ClosableNode], args: Sequence[str] | None = None) -> int:
+    """Spin a node until SIGINT or SIGTERM; the exit code of the process."""
+    # rclpy ends the spin at both signals; Python's own answer would cut a callback short.
+    signal.signal(signal.SIGINT, _keep_calm)
+    rclpy.init(args=None if args is None else list(args))
+    node: ClosableNode | None = None
+    try:
+        node = make()
+        rclpy.spin(node)
+    except ExternalShutdownException:
+        return 0
+    except (MapMergeError, ParameterException) as err:
+        print(' '.join(str(err).split()), file=sys.stderr)
+        return 1
+    except Exception:
+        if rclpy.ok():
+            raise
+        return 0  # a callback was about to publish when the context ended
+    finally:
+        if node is not None:
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _keep_calm(signum: int, frame: Any) -> None:
+    """Leave the signal to rclpy."""
