@@ -235,3 +235,39 @@ def test_a_noise_free_merge_costs_nothing_and_is_believed():
 def test_settings_are_checked(name, value):
     with pytest.raises(InvalidValue, match=name):
         FusionConfig(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ('what', 'change'),
+    [
+        ('r', lambda m: {'packed_r': 1e-300 * m.packed_r.astype(float)}),
+        ('points', lambda m: {'points': 1e-200 * m.points}),
+        ('points', lambda m: {'points': 0.0 * m.points}),
+        ('r', lambda m: {'packed_r': np.where(np.arange(len(m.packed_r)) == 0, 1e14, 0.0)}),
+        ('sigma', lambda m: {'sigma': 1e-14}),
+        ('r', lambda m: {'packed_r': 1e9 * m.packed_r}),
+        ('a', lambda m: {'a': 1e14}),
+    ],
+)
+def test_absurd_numbers_of_one_map_do_not_take_the_others_along(what, change):
+    """They may be refused, left apart or make the test refuse; the others are merged anyway."""
+    with np.errstate(all='ignore'):
+        fusion = fuse([A, B, C, replace(view('z', range(0, 14), seed=9), **change(A))])
+    assert {states(fusion)[map_id] for map_id in 'abc'} == {State.MERGED}, what
+    assert np.isfinite(fusion.global_map.points).all()
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('points', np.full((14, 3), 1e200)),
+        ('a', 1e200),
+        ('sigma', 1e200),
+        ('packed_r', np.zeros(0)),
+    ],
+)
+def test_numbers_beyond_all_measure_are_refused(name, value):
+    if name == 'packed_r':
+        value = np.zeros_like(A.packed_r)
+    with pytest.raises(InvalidValue, match=name.removeprefix('packed_')):
+        replace(A, **{name: value})

@@ -44,7 +44,7 @@ class FusionConfig:
     """The merge is not believed below this p-value (the paper takes the 99th percentile)."""
     max_iterations: int = 50
     """Gauss-Newton steps; 5 to 12 are usual."""
-    max_starts: int = 24
+    max_starts: int = 12
     """
     Starts of the merge until the test accepts it; more than one only where a rotation between
     two sub-maps is weakly determined. Of 200 narrow rooms 194 needed one, none more than four.

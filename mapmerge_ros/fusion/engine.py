@@ -10,15 +10,15 @@ arrived, and where the global frame is.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.accumulate import Receipt, Store, without_duplicates
 from mapmerge_ros.fusion.associate import associate_by_id, split_contradictions
-from mapmerge_ros.fusion.component import Anchor, Merged, merge_component
+from mapmerge_ros.fusion.component import Anchor, Merged
 from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.groups import Problem, merge_groups
 from mapmerge_ros.fusion.outcome import (
     Contradiction,
     Fusion,
@@ -28,7 +28,7 @@ from mapmerge_ros.fusion.outcome import (
     State,
     Timing,
 )
-from mapmerge_ros.fusion.overlap import Link, components, find_links
+from mapmerge_ros.fusion.overlap import Link, find_links
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.tracks import track_ids
 from mapmerge_ros.geometry import Similarity
@@ -65,24 +65,21 @@ def fuse(submaps: Iterable[SubMap] | Snapshot, config: FusionConfig | None = Non
         association = split_contradictions(
             association, [(link.a, link.b, link.contradicting) for link in links]
         )
-    merged: list[tuple[tuple[int, ...], Merged]] = []
-    failures = list(refusals)
-    for group in components(len(usable), links):
-        members = [usable[k] for k in group]
-        try:
-            part = merge_component(
-                members,
-                association.restricted(group),
-                _within(group, links),
-                _anchor_of(snapshot.anchor, members),
-                config,
-                snapshot.revision,
-                stopwatch,
-            )
-            merged.append((group, part))
-        except DegenerateGeometry as err:
-            failures += [Refusal(submap.map_id, str(err)) for submap in members]
-    alignments = [*_aligned(usable, links, merged), *_left_out(snapshot.submaps, failures)]
+    merged, failures = merge_groups(
+        Problem(
+            usable,
+            association,
+            links,
+            snapshot.anchor,
+            config,
+            snapshot.revision,
+            stopwatch,
+        )
+    )
+    alignments = [
+        *_aligned(usable, links, merged),
+        *_left_out(snapshot.submaps, [*refusals, *failures]),
+    ]
     return Fusion(
         components=tuple(part.component for _, part in merged),
         alignments=tuple(sorted(alignments, key=lambda item: item.submap.map_id)),
@@ -104,11 +101,12 @@ def fuse(submaps: Iterable[SubMap] | Snapshot, config: FusionConfig | None = Non
 class FusionEngine:
     """Takes sub-maps in as they come and fuses what is there. Not thread-safe: one owner."""
 
-    def __init__(self, config: FusionConfig | None = None) -> None:
+    def __init__(self, config: FusionConfig | None = None, revision: int = 0) -> None:
+        """`revision` is that of the last map that went out under this name."""
         self.config = config or FusionConfig()
         self._store = Store(self.config.map_id)
         self._anchor: Anchor | None = None
-        self._revision = 0
+        self._revision = revision
         self.changed = False
         """Whether anything has come or gone since the last snapshot"""
 
@@ -146,25 +144,6 @@ class FusionEngine:
         fusion = fuse(self.snapshot(), self.config)
         self.commit(fusion)
         return fusion
-
-
-def _within(group: Sequence[int], links: Sequence[Link]) -> tuple[Link, ...]:
-    """Links inside a group, renumbered to the group."""
-    slot = {k: position for position, k in enumerate(group)}
-    return tuple(
-        replace(link, a=slot[link.a], b=slot[link.b])
-        for link in links
-        if link.a in slot and link.b in slot
-    )
-
-
-def _anchor_of(anchor: Anchor | None, members: Sequence[SubMap]) -> Anchor | None:
-    """Return the previous anchor if this component has it and nothing knows the frame better."""
-    smallest = min(submap.gauge for submap in members)
-    for submap in members:
-        if anchor and submap.map_id == anchor.map_id and submap.gauge == smallest:
-            return anchor
-    return None
 
 
 def _aligned(

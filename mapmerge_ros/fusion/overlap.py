@@ -12,7 +12,7 @@ import scipy.sparse
 import scipy.sparse.csgraph
 
 from mapmerge_ros.arrays import Floats, Ints, Mask
-from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.geometry import Gauge, Similarity, align, align_robustly
@@ -141,6 +141,8 @@ def _link(
         S_a_b = align_robustly(points_a, points_b, gauge=gauge, weights=precision).S_target_source
     except DegenerateGeometry as err:
         return Link(a, b, len(common), None, str(err))
+    except (np.linalg.LinAlgError, ArithmeticError, InvalidValue):
+        return Link(a, b, len(common), None, 'their positions cannot be computed with')
     moved_b = S_a_b.apply(points_b)
     apart = _contradictions(points_a, moved_b, precision, config)
     turn = _worst_turn(points_a, moved_b)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -45,7 +46,12 @@ class FusionNode(Node):  # type: ignore[misc]
         self._merged_ns: int | None = None
         self._error = ''
         wake = self.create_guard_condition(self._on_wake)
-        self.merges = MergeLoop(FusionEngine(config), wake.trigger, self._on_merge)
+        self.merges = MergeLoop(
+            # Revisions rise across restarts too, for those who already know this map.
+            FusionEngine(config, revision=int(time.time())),
+            wake.trigger,
+            self._on_merge,
+        )
         self._global_map = self.create_publisher(SubMap, '~/global_map', LATCHED_PROFILE)
         self._alignments = self.create_publisher(AlignmentArray, '~/alignments', LATCHED_PROFILE)
         self._status = self.create_publisher(FusionStatus, '~/status', LATCHED_PROFILE)
@@ -73,9 +79,7 @@ class FusionNode(Node):  # type: ignore[misc]
         answers = Answers(self.merges, self.ledger, self._outgoing)
         # While it waits for its merge, all other callbacks have to go on.
         apart = ReentrantCallbackGroup()
-        self.create_service(
-            MergeNow, '~/merge_now', answers.merge_now, callback_group=apart
-        )
+        self.create_service(MergeNow, '~/merge_now', answers.merge_now, callback_group=apart)
         self.create_service(RemoveMap, '~/remove', answers.remove)
         self.create_service(Trigger, '~/reset', answers.reset)
 

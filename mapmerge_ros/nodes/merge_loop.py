@@ -31,9 +31,7 @@ class MergeLoop:
     `wake` is called from the worker's thread; the owner then has to call `finish`.
     """
 
-    def __init__(
-        self, engine: FusionEngine, wake: Callable[[], None], on_merge: OnMerge
-    ) -> None:
+    def __init__(self, engine: FusionEngine, wake: Callable[[], None], on_merge: OnMerge) -> None:
         self.engine = engine
         self._worker = MergeWorker(lambda snapshot: produce(snapshot, engine.config), wake)
         self._on_merge = on_merge

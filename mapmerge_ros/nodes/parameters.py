@@ -86,9 +86,7 @@ CONFIG_SETTINGS = (
         1e-12,
         0.5,
     ),
-    Setting(
-        'max_iterations', CONFIG.max_iterations, 'Gauss-Newton steps of a merge.', 1, 10_000
-    ),
+    Setting('max_iterations', CONFIG.max_iterations, 'Gauss-Newton steps of a merge.', 1, 10_000),
     Setting(
         'max_starts',
         CONFIG.max_starts,
@@ -201,5 +199,3 @@ def _descriptor(setting: Setting) -> Any:
             IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)
         ]
     return descriptor
-
-

@@ -24,6 +24,7 @@ SETTINGS = (
     Setting('rate', 1.0, 'Times the speed of the recording; 0: all at once.', 0.0, 1e6),
 )
 
+
 @dataclass(frozen=True, slots=True)
 class Sending:
     """A message of the recording."""

@@ -14,6 +14,9 @@ from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap.descriptors import Descriptors
 from mapmerge_ros.submap.triangle import pack, packed_size, triangulate, unpack
 
+LARGEST = 1e15
+"""Of any number in a sub-map: its square still leaves room in float64 and float32."""
+
 
 @dataclass(frozen=True, slots=True, order=True)
 class Source:
@@ -111,10 +114,14 @@ class SubMap:
             )
         if len(self.c) != self.rank:
             raise InvalidValue(f'c: expected {self.rank} values, got {len(self.c)}')
-        if not (np.isfinite(self.a) and self.a >= 0.0):
-            raise InvalidValue(f'a: {self.a} is not a finite, non-negative number')
-        if not (np.isfinite(self.sigma) and self.sigma >= 0.0):
-            raise InvalidValue(f'sigma: {self.sigma} is not a finite, non-negative number')
+        if not 0.0 <= self.a <= LARGEST:
+            raise InvalidValue(f'a: {self.a} is not between 0 and {LARGEST:g}')
+        if self.sigma != 0.0 and not 1.0 / LARGEST <= self.sigma <= LARGEST:
+            raise InvalidValue(f'sigma: {self.sigma} is neither 0 nor {1 / LARGEST:g} or more')
+        if np.abs(self.points).max() > LARGEST:
+            raise InvalidValue(f'points: a coordinate above {LARGEST:g}')
+        if count and not 0.0 < np.abs(self.packed_r).max() <= LARGEST:
+            raise InvalidValue(f'r: all zero, or above {LARGEST:g}: nothing is known, or too much')
         if count and self.residual_count <= 0:
             raise InvalidValue('residual_count: zero, but landmarks are compressed')
         if count and self.dof <= 0:

@@ -1,0 +1,133 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Connected sub-maps merged group by group; one that breaks the merge is left out, alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mapmerge_ros.errors import MapMergeError
+from mapmerge_ros.fusion.associate import Association
+from mapmerge_ros.fusion.component import Anchor, Merged, merge_component
+from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.outcome import Refusal
+from mapmerge_ros.fusion.overlap import Link, components
+from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.submap import SubMap
+
+FAILURES = (MapMergeError, np.linalg.LinAlgError, ArithmeticError)
+"""
+What numbers can do to a merge although each message keeps its contract: R of rank zero, points
+that are all one, sizes that overflow.
+"""
+
+Group = tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """All usable sub-maps with their tracks and links, and how to merge them."""
+
+    submaps: tuple[SubMap, ...]
+    association: Association
+    links: tuple[Link, ...]
+    anchor: Anchor | None
+    config: FusionConfig
+    revision: int
+    stopwatch: Stopwatch
+
+
+def merge_groups(problem: Problem) -> tuple[list[tuple[Group, Merged]], list[Refusal]]:
+    """Every group of sub-maps that hang together as one map, largest first, and the refused."""
+    merged: list[tuple[Group, Merged]] = []
+    refused: list[Refusal] = []
+    for group in components(len(problem.submaps), problem.links):
+        parts, without = _merge_or_isolate(group, problem)
+        merged += parts
+        refused += without
+    merged.sort(key=lambda part: (-len(part[0]), part[0]))
+    return merged, refused
+
+
+def _merge_or_isolate(
+    group: Group, problem: Problem
+) -> tuple[list[tuple[Group, Merged]], list[Refusal]]:
+    """Merge a group; if that fails, without sub-maps that are broken or that break it."""
+    try:
+        return [(group, _merge(group, problem))], []
+    except FAILURES as err:
+        failure = _in_words(err)
+    if len(group) == 1:
+        return [], [Refusal(problem.submaps[group[0]].map_id, failure)]
+    broken = tuple(k for k in group if not _works((k,), problem))
+    for culprits in [broken] if broken else [(k,) for k in _strangest_first(group, problem)]:
+        try:
+            parts = [(part, _merge(part, problem)) for part in _without(group, culprits, problem)]
+        except FAILURES:
+            continue
+        names = [problem.submaps[k].map_id for k in culprits]
+        return parts, [Refusal(name, f'with it the merge fails: {failure}') for name in names]
+    return [], [Refusal(problem.submaps[k].map_id, failure) for k in group]
+
+
+def _strangest_first(group: Group, problem: Problem) -> list[int]:
+    """Sub-maps whose R is of another order of magnitude than that of the others come first."""
+    sizes = {k: np.log10(np.abs(problem.submaps[k].packed_r).max()) for k in group}
+    usual = np.median(list(sizes.values()))
+    return sorted(group, key=lambda k: -abs(sizes[k] - usual))
+
+
+def _works(group: Group, problem: Problem) -> bool:
+    try:
+        _merge(group, problem)
+    except FAILURES:
+        return False
+    return True
+
+
+def _merge(group: Group, problem: Problem) -> Merged:
+    members = [problem.submaps[k] for k in group]
+    return merge_component(
+        members,
+        problem.association.restricted(group),
+        _within(group, problem.links),
+        _still(problem.anchor, members),
+        problem.config,
+        problem.revision,
+        problem.stopwatch,
+    )
+
+
+def _without(group: Group, culprits: Group, problem: Problem) -> list[Group]:
+    """What a group falls into when some sub-maps are taken away."""
+    rest = tuple(k for k in group if k not in culprits)
+    parts = components(len(rest), _within(rest, problem.links))
+    return [tuple(rest[slot] for slot in part) for part in parts]
+
+
+def _within(group: Sequence[int], links: Sequence[Link]) -> tuple[Link, ...]:
+    """Links inside a group, renumbered to the group."""
+    slot = {k: position for position, k in enumerate(group)}
+    return tuple(
+        replace(link, a=slot[link.a], b=slot[link.b])
+        for link in links
+        if link.a in slot and link.b in slot
+    )
+
+
+def _still(anchor: Anchor | None, members: Sequence[SubMap]) -> Anchor | None:
+    """Return the previous anchor if this group has it and nothing knows the frame better."""
+    smallest = min(submap.gauge for submap in members)
+    for submap in members:
+        if anchor and submap.map_id == anchor.map_id and submap.gauge == smallest:
+            return anchor
+    return None
+
+
+def _in_words(err: Exception) -> str:
+    if isinstance(err, MapMergeError):
+        return str(err)
+    return f'its numbers cannot be computed with ({str(err).lower() or type(err).__name__})'
