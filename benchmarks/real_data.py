@@ -24,8 +24,10 @@ from mapmerge_ros.bundle import Bundle, MapName, compress
 from mapmerge_ros.bundle.selection import matched
 from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion import Fusion, fuse
+from mapmerge_ros.fusion.refine import Robot, refine
 from mapmerge_ros.geometry import Gauge, align, align_robustly
 from mapmerge_ros.io import decode_submap, encode_submap, load_colmap
+from mapmerge_ros.simulation import join, solve
 from mapmerge_ros.submap import SubMap
 
 CAPS: dict[str, int | None] = {'caliterra_drone': 600, 'boruszyn_kite': 1000}
@@ -135,6 +137,73 @@ def evaluate(folder: Path, cap: int | None = None) -> tuple[Row, Fusion]:
     return row, fusion
 
 
+@dataclass(frozen=True)
+class Refinement:
+    """Rounds of re-linearisation on one data set."""
+
+    name: str
+    landmarks: int
+    errors: list[float]
+    """After each round, scene radii; to the full bundle with the very same links"""
+    cost_ratio: float
+    """True cost over that of the full bundle, minus 1, at the end"""
+    seconds: float
+
+
+def evaluate_rounds(folder: Path, cap: int | None, count: int) -> Refinement:
+    """Refine one data set and compare each round with the full bundle of the same links."""
+    bundles = [load_colmap(path) for path in sorted(folder.glob('session_*'))]
+    robots = [
+        Robot(MapName(f'session_{k}', 'robot', id_space='truth'), bundle, ids)
+        for k, (bundle, ids) in enumerate(zip(bundles, matched(bundles, cap), strict=True))
+    ]
+    begin = time.perf_counter()
+    refined, rounds = refine(robots, count)
+    seconds = time.perf_counter() - begin
+    frames = {item.submap.map_id: item.S_global_map for item in rounds[-1].fusion.alignments}
+    # A point that is not linked stays one of its own session, as in the merge.
+    apart = [
+        np.where(np.isin(robot.bundle.point_ids, robot.landmark_ids), 0, k + 1) * 10**12
+        for k, robot in enumerate(refined)
+    ]
+    full = solve(
+        join(
+            [robot.bundle for robot in refined],
+            [frames[robot.name.map_id] for robot in refined],
+            [
+                robot.bundle.point_ids + offset.astype(np.uint64)
+                for robot, offset in zip(refined, apart, strict=True)
+            ],
+        )
+    )
+    landmarks = rounds[-1].fusion.components[0].landmarks
+    views = np.bincount(landmarks.member_rows, minlength=len(landmarks.ids))
+    ids = landmarks.ids[(views > 1) & np.isin(landmarks.ids, full.bundle.point_ids)]
+    gold = full.bundle.points[full.bundle.rows_of(ids)]
+    errors = []
+    for each in rounds:
+        merged = each.fusion.components[0].landmarks
+        errors.append(error_ratio(merged.points_global[np.searchsorted(merged.ids, ids)], gold))
+    ratio = rounds[-1].cost_px2 / full.cost_px2 - 1.0
+    return Refinement(folder.name, len(ids), errors, ratio, seconds)
+
+
+def refinement_table(rows: list[Refinement], count: int) -> str:
+    """Markdown table."""
+    heads = ' | '.join(f'round {k + 1}' for k in range(count))
+    lines = [
+        f'| set | shared landmarks | {heads} | true cost, relative to the full bundle | seconds |',
+        '|---' * (count + 4) + '|',
+    ]
+    for row in rows:
+        errors = [f'{error:.1e}' for error in row.errors] + ['–'] * (count - len(row.errors))
+        lines.append(
+            f'| {row.name} | {row.landmarks} | {" | ".join(errors)} | {row.cost_ratio:+.1e} | '
+            f'{row.seconds:.0f} |'
+        )
+    return '\n'.join(lines)
+
+
 def table(rows: list[Row]) -> str:
     """Markdown table."""
     lines = [
@@ -156,6 +225,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('data', type=Path, help='folder with one folder per data set')
     parser.add_argument('--markdown', type=Path, help='document whose table is replaced')
+    parser.add_argument('--rounds', type=int, default=0, help='re-linearise so many times')
     args = parser.parse_args(argv)
     folders = [path.parent for path in sorted(args.data.glob('*/gold'))]
     if not folders:
@@ -163,16 +233,25 @@ def main(argv: list[str] | None = None) -> int:
         return 1
     try:
         with threadpool_limits(1):
-            rows = [evaluate(folder, CAPS.get(folder.name))[0] for folder in folders]
+            text, mark = measure(folders, args.rounds)
     except MapMergeError as err:
         print(err, file=sys.stderr)
         return 1
-    print(table(rows))
+    print(text)
     if args.markdown:
-        before, mark, rest = args.markdown.read_text().partition('<!-- table -->\n')
-        after = rest.partition('<!-- end of table -->')
-        args.markdown.write_text(before + mark + table(rows) + '\n' + ''.join(after[1:]))
+        before, begin, rest = args.markdown.read_text().partition(f'<!-- {mark} -->\n')
+        _, end, after = rest.partition(f'<!-- end of {mark} -->')
+        args.markdown.write_text(before + begin + text + '\n' + end + after)
     return 0
+
+
+def measure(folders: list[Path], rounds: int) -> tuple[str, str]:
+    """Table, and its name in the document."""
+    if not rounds:
+        return table([evaluate(folder, CAPS.get(folder.name))[0] for folder in folders]), 'table'
+    caps = {name: min(cap or 10**9, 600) for name, cap in CAPS.items()}
+    rows = [evaluate_rounds(folder, caps.get(folder.name), rounds) for folder in folders]
+    return refinement_table(rows, rounds), 'rounds'
 
 
 if __name__ == '__main__':

@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from mapmerge_ros.arrays import Ints
+from mapmerge_ros.arrays import Ids, Ints
 from mapmerge_ros.bundle import Bundle
+from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.simulation.fleet import Fleet
 from mapmerge_ros.submap import Descriptors
 
@@ -18,15 +20,29 @@ def joint_bundle(fleet: Fleet) -> Bundle:
     """
     Observations of the whole fleet as one bundle in the world frame, not adjusted.
 
-    It starts from the robots' own maps, put together by the true frames; points of several
-    robots start at their mean. Point ids are those of the scene.
+    It starts from the robots' own maps, put together by the true frames. Point ids are those of
+    the scene.
     """
     truth = fleet.truth
+    return join(fleet.bundles, truth.S_world_map, truth.landmark_ids)
+
+
+def join(
+    bundles: Sequence[Bundle],
+    S_world_maps: Sequence[Similarity],
+    landmark_ids: Sequence[Ids],
+) -> Bundle:
+    """
+    Several bundles as one, not adjusted: points of equal landmark id become one point.
+
+    `landmark_ids` holds for each bundle the id (n,) of each of its points; a point of several
+    bundles starts at the mean of theirs.
+    """
     placed = [
         bundle.transformed(S_world_map)
-        for bundle, S_world_map in zip(fleet.bundles, truth.S_world_map, strict=True)
+        for bundle, S_world_map in zip(bundles, S_world_maps, strict=True)
     ]
-    ids, rows = np.unique(np.concatenate(truth.landmark_ids), return_inverse=True)
+    ids, rows = np.unique(np.concatenate(landmark_ids), return_inverse=True)
     counts = np.bincount(rows)
     points = np.concatenate([bundle.points for bundle in placed])
     sums = [np.bincount(rows, weights=axis) for axis in points.T]
