@@ -269,7 +269,7 @@ def test_what_no_field_can_hold_is_not_sent() -> None:
     for change, reason in (
         ({'stamp_ns': 2**31 * 10**9}, 'stamp_ns'),
         ({'revision': 2**32}, 'revision'),
-        ({'packed_r': np.full(len(submap.packed_r), 1e39)}, 'r: a value does not fit'),
+        ({'c': np.full(len(submap.c), 1e39)}, 'c: a value does not fit'),
     ):
         with pytest.raises(InvalidMessage, match=reason):
             encode_submap(replace(submap, **change))
