@@ -70,6 +70,7 @@ def _fill_counts(message: Any, fusion: Fusion) -> None:
         views = np.bincount(component.landmarks.member_rows)
         message.shared_landmarks = int(np.count_nonzero(views > 1))
         message.iterations = component.iterations
+        message.starts = component.starts
         message.converged = bool(component.converged)
 
 
