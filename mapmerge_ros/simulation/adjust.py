@@ -96,6 +96,8 @@ def _library() -> Any:
         raise AdjustmentError(
             'bundle adjustment needs pycolmap: pip install mapmerge_ros[colmap]'
         ) from err
+    # A damped step that fails is tried again by Ceres; its warnings would drown the progress bar.
+    pycolmap.logging.minloglevel = pycolmap.logging.ERROR.value
     return pycolmap
 
 
