@@ -11,14 +11,23 @@ import scipy.stats
 from test_geometry import random_similarity
 
 from mapmerge_ros.bundle import MapName, compress
+from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.fusion import FusionConfig, fuse
 from mapmerge_ros.fusion.element import Element
+from mapmerge_ros.fusion.region import p_value_of
 from mapmerge_ros.geometry import Gauge, align
 from mapmerge_ros.submap import alignment_weights
 
 pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres: pip install pycolmap')
 
-from mapmerge_ros.simulation import FleetConfig, Sensing, paper_box, simulate_fleet
+from mapmerge_ros.simulation import (
+    FleetConfig,
+    Sensing,
+    box_truth,
+    measured,
+    paper_box,
+    simulate_fleet,
+)
 
 GAUGES = [Gauge.SIMILARITY, Gauge.RIGID, Gauge.YAW_TRANSLATION, Gauge.NONE]
 
@@ -211,6 +220,10 @@ def test_dropping_landmarks_from_the_outgoing_map_loses_nothing_about_the_others
 
 def box_submaps(rng, sigma, known=True, maps=3):
     """Experiment 5.A.1 of the paper: three maps of a box, ten of 100 points in q."""
+    return box_submaps_of(paper_box(rng, sigma=sigma, maps=maps), sigma, known)
+
+
+def box_submaps_of(bundles, sigma, known):
     return [
         compress(
             replace(bundle, sigma_px=sigma if known else 0.0),
@@ -218,7 +231,7 @@ def box_submaps(rng, sigma, known=True, maps=3):
             bundle.point_ids[:10],
             catalogue=False,
         )
-        for k, bundle in enumerate(paper_box(rng, sigma=sigma, maps=maps))
+        for k, bundle in enumerate(bundles)
     ]
 
 
@@ -258,3 +271,33 @@ def test_a_moved_object_makes_the_test_refuse():
     verdict = fuse(moved).verdict
     assert not verdict.accepted
     assert 'costs' in verdict.reason
+
+
+@pytest.mark.parametrize('known', [True, False])
+def test_the_truth_lies_in_the_region_as_often_as_it_says(known):
+    """The paper's box at 1/10 of its noise: p-values of the truth are uniform over noise."""
+    truth = box_truth(np.random.default_rng(3))
+    p_values = []
+    for run in range(60):
+        bundles = measured(truth, np.random.default_rng([3, run]), 0.005)
+        fusion = fuse(box_submaps_of(bundles, 0.005, known))
+        ids = fusion.components[0].landmarks.ids
+        p_values.append(
+            p_value_of(fusion, ids[::-1], truth[0].points[truth[0].rows_of(ids)][::-1])
+        )
+    assert scipy.stats.kstest(p_values, 'uniform').pvalue > 0.01
+
+
+def test_the_region_needs_a_merge_and_all_its_landmarks():
+    fusion = fuse(fleet_maps(9))
+    landmarks = fusion.components[0].landmarks
+    own = p_value_of(fusion, landmarks.ids, landmarks.points_global)
+    assert own == pytest.approx(1.0, abs=1e-6)
+    moved = random_similarity(np.random.default_rng(9)).apply(landmarks.points_global)
+    assert p_value_of(fusion, landmarks.ids, moved) == pytest.approx(1.0, abs=1e-6)
+    shaken = moved + np.random.default_rng(9).normal(size=moved.shape)
+    assert p_value_of(fusion, landmarks.ids, shaken) < 1e-6
+    with pytest.raises(InvalidValue, match='missing'):
+        p_value_of(fusion, landmarks.ids[1:], landmarks.points_global[1:])
+    with pytest.raises(InvalidValue, match='nothing is merged'):
+        p_value_of(fuse([]), landmarks.ids, landmarks.points_global)

@@ -70,8 +70,6 @@ def run(args: argparse.Namespace) -> int:
     """Run, write, print."""
     experiment = _chosen(args)
     require_matplotlib()
-    # Ceres reports each damped step that it takes back; the processes inherit this.
-    os.environ.setdefault('GLOG_minloglevel', '2')
     with output_folder(args.out) as folder:
 
         def progress(outcomes: Iterable[Outcome]) -> Iterable[Outcome]:

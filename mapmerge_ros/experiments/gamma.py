@@ -73,12 +73,12 @@ def summarise(results: Results) -> Summary:
         ('refused at 1 %, σ estimated', f'{refused[1]:.2%}', '1 %'),
     )
     checks = (
-        Check('ã/σ² is distributed as Γ(23, 2)', f'KS p ≥ {MIN_KS}', f'{ks_price:.3f}',
+        Check('ã/σ² is distributed as Γ(23, 2)', f'KS p ≥ {MIN_KS}', f'{ks_price:.2g}',
               ks_price >= MIN_KS),
         Check('mean of ã/σ²', f'{DOF} ± {MEAN_TOLERANCE:.0%}', f'{mean:.2f}',
               abs(mean / DOF - 1.0) <= MEAN_TOLERANCE),
         Check('F test is calibrated when σ is estimated', f'KS p ≥ {MIN_KS}',
-              f'{ks_estimated:.3f}', ks_estimated >= MIN_KS),
+              f'{ks_estimated:.2g}', ks_estimated >= MIN_KS),
     )
     return Summary((Table('Price of merging', ('', '#ours', '#expected'), rows),), checks)
 

@@ -12,7 +12,7 @@ from mapmerge_ros.arrays import Floats, Ids
 from mapmerge_ros.bundle import Bundle
 from mapmerge_ros.experiments.baselines import merged_points, procrustes_average, rmse_to
 from mapmerge_ros.experiments.loop_summary import draw, summarise
-from mapmerge_ros.experiments.region import cost_p, reported_p
+from mapmerge_ros.experiments.region import reported_p
 from mapmerge_ros.experiments.result import Experiment, Values
 from mapmerge_ros.experiments.room import (
     SIGMA,
@@ -22,6 +22,7 @@ from mapmerge_ros.experiments.room import (
     without_last_match,
 )
 from mapmerge_ros.fusion import fuse
+from mapmerge_ros.fusion.region import p_value_of
 from mapmerge_ros.simulation import Fleet, joint_bundle, solve
 from mapmerge_ros.submap import SubMap
 
@@ -57,7 +58,7 @@ def _one_scene(rng: np.random.Generator, width: float) -> Mapping[str, object]:
         'p_reported': reported_p(
             component.submap, true_points(scene, component.submap.compressed_ids), SIGMA
         ),
-        'p_cost': cost_p(submaps, truth, merged.verdict.a_tilde, SIGMA),
+        'p_cost': p_value_of(merged, ids, truth),
         'sizes': _sizes(fleet, submaps, 3 * len(ids)),
     }
 

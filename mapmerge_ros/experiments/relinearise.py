@@ -77,11 +77,12 @@ def summarise(results: Results) -> Summary:
 
 
 def draw(results: Results) -> Figure:
-    """One line a run, and their median."""
+    """Median and spread of the runs."""
     figure = new_figure()
     axes, numbers = figure.axes[0], np.arange(1, ROUNDS + 1)
     differences = np.maximum(np.abs(results.column('differences')), 1e-16)
-    axes.semilogy(numbers, differences.T, color=SINGLE, alpha=0.15)
+    low, high = np.quantile(differences, (0.01, 0.99), axis=0)
+    axes.fill_between(numbers, low, high, color=SINGLE, alpha=0.3, label='98 % of the runs')
     axes.semilogy(numbers, np.median(differences, axis=0), color=OURS, lw=2, label='median')
     axes.axhline(TOLERANCE, color=PAPER, ls=':', label=f'{TOLERANCE:g}')
     axes.set_xticks(numbers.tolist())

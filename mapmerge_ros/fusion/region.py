@@ -1,0 +1,78 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Where the landmarks may be as well: the confidence region of a merge, as curved as it is.
+
+R̄ of the outgoing map, and the standard deviations, describe an ellipsoid. Where a rotation between
+sub-maps is weakly determined the true region bends away from it; the cost of merging follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.stats
+
+from mapmerge_ros.arrays import Floats, Ids, Ints
+from mapmerge_ros.errors import InvalidValue
+from mapmerge_ros.fusion.associate import associate_by_id
+from mapmerge_ros.fusion.element import Element
+from mapmerge_ros.fusion.outcome import Fusion
+from mapmerge_ros.fusion.tracks import track_ids
+from mapmerge_ros.fusion.verify import pool_noise
+from mapmerge_ros.submap import SubMap
+
+
+def p_value_of(fusion: Fusion, ids: Ids, points: Floats) -> float:
+    """
+    p-value of the shared landmarks of the global map lying at `points` (n, 3).
+
+    The price of merging rises from its optimum ã to that at `points`; divided by σ² the rise is
+    χ²(3n - g), or F where σ is estimated. Values below 0.01 are outside the 99 % region. The
+    frame of the points does not matter within the gauge of the map. All shared landmarks have
+    to be given, in any order; others are ignored.
+
+    Raises
+    ------
+    InvalidValue
+        Nothing is merged, or a shared landmark is missing.
+
+    """
+    members = _published(fusion)
+    noise = pool_noise(members)
+    association = associate_by_id(members)
+    is_shared = association.views > 1
+    shared = np.flatnonzero(is_shared)
+    given = _rows(np.asarray(ids, np.uint64), track_ids(members, association)[shared])
+    positions = points[given]
+    slots = np.cumsum(is_shared) - 1
+    price = 0.0
+    for submap, tracks, weight in zip(members, association.tracks, noise.weights, strict=True):
+        whole = Element.from_submap(submap, tracks, is_shared[tracks], float(weight))
+        element = whole.reduced()
+        element = replace(element, tracks=slots[element.tracks])
+        residuals = element.residuals(element.place(positions))
+        price += float(residuals @ residuals)
+    rise = max(price - fusion.verdict.a_tilde, 0.0) / noise.sigma**2
+    freedom = 3 * len(shared) - int(fusion.components[0].gauge)
+    if noise.estimated_from:
+        return float(scipy.stats.f.sf(rise / freedom, freedom, noise.estimated_from))
+    return float(scipy.stats.chi2.sf(rise, freedom))
+
+
+def _published(fusion: Fusion) -> list[SubMap]:
+    if not fusion.components or len(fusion.components[0].map_ids) < 2:
+        raise InvalidValue('fusion: nothing is merged, so nothing is known of the landmarks')
+    inside = set(fusion.components[0].map_ids)
+    return [item.submap for item in fusion.alignments if item.submap.map_id in inside]
+
+
+def _rows(ids: Ids, wanted: Ids) -> Ints:
+    order = np.argsort(ids)
+    slots = np.minimum(np.searchsorted(ids, wanted, sorter=order), len(ids) - 1)
+    rows = order[slots]
+    missing = ids[rows] != wanted
+    if missing.any():
+        raise InvalidValue(f'ids: shared landmark {wanted[missing][0]} is missing')
+    return rows
