@@ -43,7 +43,11 @@ class MapAlignment:
     S_global_map: Similarity
     """Into the frame of its component"""
     covariance: Floats
-    """(7, 7) left tangent in the global frame, order of `Similarity.exp`; zeros = unknown"""
+    """
+    (7, 7) left tangent in the global frame, order of `Similarity.exp`; zeros = unknown.
+
+    It is that of the frame in which the sub-map's own q° lies, not of the robot's true cameras.
+    """
 
 
 @dataclass(frozen=True, slots=True)
