@@ -11,6 +11,7 @@ from scenes import random_bundle
 from mapmerge_ros.bundle import MapName, compress
 from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, fuse
+from mapmerge_ros.fusion.region import p_value_of
 from mapmerge_ros.geometry import Similarity, align
 from mapmerge_ros.submap import Source
 
@@ -175,7 +176,9 @@ def test_an_id_given_to_two_points_is_split_and_reported():
     assert {(item.a, item.b) for item in fusion.contradictions} == {('a', 'b')}
     assert fusion.verdict.accepted
     assert not clashing & set(map(int, fusion.global_map.landmark_ids))
-    assert not clashing & set(map(int, fusion.components[0].landmarks.ids))
+    landmarks = fusion.components[0].landmarks
+    assert not clashing & set(map(int, landmarks.ids))
+    assert p_value_of(fusion, landmarks.ids, landmarks.points_global) == pytest.approx(1.0)
 
 
 def test_the_global_frame_stays_where_it_was():

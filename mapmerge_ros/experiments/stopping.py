@@ -10,8 +10,7 @@ import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.bundle import Bundle, linearise
-from mapmerge_ros.simulation import AdjustmentError, anchored
-from mapmerge_ros.simulation.adjust import _from_colmap, _library, _options, _to_colmap
+from mapmerge_ros.simulation import solve
 
 TRUST_RADIUS = 1.0
 """
@@ -34,19 +33,13 @@ def descend(bundle: Bundle, gradient_tolerance: float) -> Bundle:
         pycolmap is not installed, or the solver failed.
 
     """
-    colmap = _library()
-    model = _to_colmap(bundle, colmap)
-    options = _options(colmap, MAX_ITERATIONS, 0.0, gradient_tolerance)
-    solver = options.ceres.solver_options
-    solver.initial_trust_region_radius = solver.max_trust_region_radius = TRUST_RADIUS
-    config = colmap.BundleAdjustmentConfig()
-    for row in range(len(bundle.keyframe_ids)):
-        config.add_image(row + 1)
-    adjuster = colmap.create_default_ceres_bundle_adjuster(options, config, model)
-    summary = adjuster.solve().ceres_summary
-    if not summary.IsSolutionUsable():
-        raise AdjustmentError(f'bundle adjustment failed: {summary.message}')
-    return anchored(_from_colmap(bundle, model), bundle)
+    return solve(
+        bundle,
+        max_iterations=MAX_ITERATIONS,
+        function_tolerance=0.0,
+        gradient_tolerance=gradient_tolerance,
+        trust_radius=TRUST_RADIUS,
+    ).bundle
 
 
 def gradient_norm(bundle: Bundle) -> float:

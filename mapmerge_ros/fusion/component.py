@@ -152,7 +152,10 @@ def _compress(
     ids = track_ids(submaps, association)
     S_global_maps = tuple(placement.S_map_global.inverse() for placement in solution.placements)
     catalogue = build_catalogue(submaps, S_global_maps, association)
-    keep = most_useful(association.views, ids, config.max_landmarks) & ~association.nameless
+    keep = most_useful(
+        np.where(association.nameless, 0, association.views), ids, config.max_landmarks
+    )
+    keep &= ~association.nameless
     component = Component(
         map_ids=tuple(submap.map_id for submap in submaps),
         gauge=normal.gauge,

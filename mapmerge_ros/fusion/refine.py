@@ -52,7 +52,10 @@ class Round:
     fusion: Fusion
     """from the sub-maps as they stood before the round"""
     cost_px2: float
-    """True cost: sum of r'r over the merged robots, each at its best for the common landmarks"""
+    """
+    True cost: sum of r'r over the merged robots, each at its best for the common landmarks; where
+    a robot knows its σ, in units of that.
+    """
     step_ratio: float
     """Largest move of a landmark over its standard deviation; inf in the first round"""
     share: float

@@ -57,6 +57,7 @@ def solve(
     max_iterations: int = MAX_ITERATIONS,
     function_tolerance: float = FUNCTION_TOLERANCE,
     gradient_tolerance: float = GRADIENT_TOLERANCE,
+    trust_radius: float | None = None,
 ) -> Adjustment:
     """
     Minimise the reprojection error over all poses and points; the intrinsics stay.
@@ -64,6 +65,8 @@ def solve(
     The frame is free during the iterations and then put back to where the key frames were: mean
     position, mean heading and extent of the poses do not change. So a metric map keeps its scale
     and a gravity-aligned one its vertical, and the rows of the frame prior stay at zero.
+
+    With `trust_radius` the trust region is held at that size and does not grow.
 
     Raises
     ------
@@ -74,6 +77,9 @@ def solve(
     colmap = _library()
     model = _to_colmap(bundle, colmap)
     options = _options(colmap, max_iterations, function_tolerance, gradient_tolerance)
+    if trust_radius is not None:
+        solver = options.ceres.solver_options
+        solver.initial_trust_region_radius = solver.max_trust_region_radius = trust_radius
     config = colmap.BundleAdjustmentConfig()
     for row in range(len(bundle.keyframe_ids)):
         config.add_image(row + 1)
