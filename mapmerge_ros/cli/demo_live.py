@@ -157,7 +157,7 @@ class _Narrator:
             self._say(f'{name} heard')
         self._known |= names
         self._say(
-            f'merge {status.revision}: {status.merged} of {status.sub_maps} sub-maps, '
+            f'{status.merged} of {status.sub_maps} sub-maps merged, '
             f'{status.landmarks} landmarks, ã/dof {_ratio(status)}, p = {status.p_value:.2g}, '
             f'{1000 * status.total_s:.0f} ms, {readable_bytes(status.bytes_in)} in'
         )
