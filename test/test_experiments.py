@@ -210,8 +210,8 @@ from mapmerge_ros.cli import console, main
 
 def tell(outcomes, *_):
     for outcome in outcomes:
-        print('ended', flush=True)
         yield outcome
+        print('taken', flush=True)  # the first one is in the results by now
 
 console.progress = tell
 sys.exit(main.main(sys.argv[1:]))
@@ -227,7 +227,7 @@ def test_an_interrupt_of_all_processes_is_one_line(tmp_path):
         text=True,
         start_new_session=True,
     )
-    assert process.stdout.readline() == 'ended\n'
+    assert process.stdout.readline() == 'taken\n'
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 130

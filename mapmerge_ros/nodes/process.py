@@ -11,9 +11,12 @@ from typing import Any, Protocol
 
 import rclpy
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from mapmerge_ros.errors import MapMergeError
+
+WAKE_S = 0.5
+"""Longest wait for a message before the node asks whether it shall end."""
 
 
 class ClosableNode(Protocol):
@@ -36,7 +39,11 @@ def run_node(make: Callable[[], ClosableNode], args: Sequence[str] | None = None
     node: ClosableNode | None = None
     try:
         node = make()
-        rclpy.spin(node)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        # A signal between two waits wakes nobody: look again before long.
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=WAKE_S)
     except ExternalShutdownException:
         return 0
     except (MapMergeError, ParameterException) as err:
