@@ -14,6 +14,7 @@ LAYERS = [
     {'geometry'},
     {'submap'},
     {'bundle'},
+    {'association'},
     {'fusion'},
     {'io'},
     {'simulation'},

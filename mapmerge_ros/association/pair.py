@@ -1,0 +1,60 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What is known about one pair of sub-maps: values only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from mapmerge_ros.arrays import Ints
+from mapmerge_ros.geometry import Similarity
+
+
+class Decision(Enum):
+    """Whether two sub-maps show the same place."""
+
+    JOINED = 'joined'
+    UNDECIDED = 'undecided'
+    """Something agrees, but not enough to stand alone: other sub-maps may settle it."""
+    APART = 'apart'
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What a decision about a pair rests on."""
+
+    candidates: int
+    """Mutual, distinctive matches of descriptors"""
+    inliers: int
+    """Candidates that the alignment explains"""
+    log_nfa: float
+    """log10 of the expected number of as good alignments by chance; inf without an alignment"""
+    inlier_ratio: float
+    """inliers / candidates"""
+    agreeing_ratio: float
+    """Share of the strong candidates in the overlap that agree with the alignment"""
+    second_ratio: float
+    """Support of a second alignment, on the candidates left over, over that of the first"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairMatch:
+    """Two sub-maps a and b: their matches and, unless they are apart, their relative frame."""
+
+    decision: Decision
+    reason: str
+    """Why not joined, in words; empty for a joined pair"""
+    evidence: Evidence
+    S_a_b: Similarity | None
+    """None when no alignment was found"""
+    rows_a: Ints
+    """(n,) rows of the matched landmarks in a's message: the inliers of the alignment"""
+    rows_b: Ints
+    """(n,) their partners in b's message"""
+    candidates_a: Ints
+    """(c,) rows of all candidates in a's message"""
+    candidates_b: Ints
+    """(c,) their partners in b's message"""
+    tolerance_a: float
+    """Distance up to which a candidate is an inlier, in a's frame; nan without an alignment"""
