@@ -102,7 +102,9 @@ def compress(
     rows = np.concatenate([shared_rows, private_rows if catalogue else private_rows[:0]])
     found = eliminate(lin, shared_rows, method) if len(shared_rows) else _NOTHING
     residual_count, dof = bundle.residual_count, bundle.dof
-    variance = bundle.sigma_px**2 or found.a**2 / max(residual_count - dof, 1)
+    # A bare announcement eliminates nothing: its residuals alone tell the noise.
+    squares = found.a**2 if len(shared_rows) else lin.cost_px2
+    variance = bundle.sigma_px**2 or squares / max(residual_count - dof, 1)
     covariances = variance * np.linalg.inv(point_information(lin)[rows])
     return SubMap(
         map_id=name.map_id,
