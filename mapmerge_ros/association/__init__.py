@@ -1,3 +1,18 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
 """Which landmarks of which sub-maps are one point, from descriptors and geometry alone."""
+
+from mapmerge_ros.association.align_pair import match_pair
+from mapmerge_ros.association.config import AssociationConfig
+from mapmerge_ros.association.nearest import Candidates, nearest
+from mapmerge_ros.association.pair import Decision, Evidence, PairMatch
+
+__all__ = [
+    'AssociationConfig',
+    'Candidates',
+    'Decision',
+    'Evidence',
+    'PairMatch',
+    'match_pair',
+    'nearest',
+]

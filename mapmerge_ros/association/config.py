@@ -1,0 +1,40 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Every threshold of the association, each with the measurement behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class AssociationConfig:
+    """Thresholds; the defaults hold for all sets of docs/association.md."""
+
+    max_ratio_sift: float = 0.85
+    """Distance over that of the second best neighbour."""
+    max_ratio_binary: float = 0.90
+    """Hamming distances are concentrated: their ratios are nearer to 1."""
+    min_candidates: int = 6
+    """Fewer cannot be significant in any group."""
+    seed: int = 0
+    """Of the samples; candidates are in canonical order, so the content decides the rest."""
+    samples: int = 30_000
+    max_models: int = 1500
+    min_side_ratio: float = 0.1
+    max_side_disagreement: float = 0.25
+    min_triangle_height: float = 0.1
+    max_scored: int = 300
+    max_background: int = 300
+    refined_models: int = 20
+    refinements: int = 10
+    max_tolerance_ratio: float = 0.2
+    overlap_radius: float = 2.5
+    agreeing_tolerances: float = 2.0
+    left_over_tolerances: float = 3.0
+    max_log_nfa: float = -5.0
+    max_log_nfa_undecided: float = 0.0
+    min_inliers: int = 10
+    min_inlier_ratio: float = 0.36
+    min_agreeing_ratio: float = 0.72
+    max_second_ratio: float = 0.5
