@@ -40,7 +40,7 @@ def variances(submap: SubMap) -> Floats:
     """(n,) variance of each landmark's position, mean of its coordinates; zero = unknown."""
     known = np.zeros(len(submap.landmark_ids))
     if submap.covariances is not None:
-        known = submap.covariances[:, [0, 3, 5]].mean(axis=1).astype(np.float64)
+        return np.asarray(submap.covariances[:, [0, 3, 5]].mean(axis=1), np.float64)
     if submap.compressed_count:
         # With the other landmarks held, in place of the cameras: from R, unit variance.
         weights = alignment_weights(submap.triangle())

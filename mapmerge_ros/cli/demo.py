@@ -42,8 +42,7 @@ def add_parser(subparsers: Subparsers) -> None:
         'machine only and in a ROS domain of their own; show what arrives, and compare it with\n'
         'the replay of the same recording and with the truth beside it. The exit code is 0 if\n'
         'they agree.',
-        '  mapmerge demo\n'
-        '  mapmerge demo --recording drones.mcap --rate 10 --out drones_demo',
+        '  mapmerge demo\n  mapmerge demo --recording drones.mcap --rate 10 --out drones_demo',
     )
     add = parser.add_argument
     add('--recording', type=Path, default=RECORDING, metavar='BAG', help='.mcap or rosbag2 folder')

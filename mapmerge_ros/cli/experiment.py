@@ -25,9 +25,7 @@ EXIT_INTERRUPTED = 130
 class _List(argparse.Action):
     """Print the names and leave, as `--help` does: no experiment has to be named."""
 
-    def __call__(
-        self, parser: argparse.ArgumentParser, *_: object, **__: object
-    ) -> None:
+    def __call__(self, parser: argparse.ArgumentParser, *_: object, **__: object) -> None:
         table = console.table('name', '#runs', 'what it shows')
         for experiment in EXPERIMENTS.values():
             table.add_row(experiment.name, str(experiment.runs), experiment.title)

@@ -56,9 +56,7 @@ class Playback:
 
         """
         try:
-            return replay(
-                self._messages(), self._engine, self._period_ns, on_fusion, self._count
-            )
+            return replay(self._messages(), self._engine, self._period_ns, on_fusion, self._count)
         except EmptyReplayError as err:
             names = ', '.join(map(str, self._bags))
             reasons = dict.fromkeys(f'{x.name}: {x.reason}' for x in self._refused)

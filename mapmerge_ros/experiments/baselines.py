@@ -14,9 +14,7 @@ from mapmerge_ros.fusion import Fusion
 from mapmerge_ros.geometry import align
 
 
-def procrustes_average(
-    ids: Sequence[Ids], points_maps: Sequence[Floats]
-) -> tuple[Ids, Floats]:
+def procrustes_average(ids: Sequence[Ids], points_maps: Sequence[Floats]) -> tuple[Ids, Floats]:
     """
     Put maps together by their points alone, one after the other in the given order.
 

@@ -74,11 +74,13 @@ def _scenes(rng: np.random.Generator) -> tuple[Scene, Scene]:
 
 
 def _path(rng: np.random.Generator) -> Trajectory:
-    centres = np.column_stack([
-        np.linspace(-0.5, 0.5, KEYFRAMES) * PATH_WIDTH,
-        -DISTANCE + 0.1 * rng.normal(size=KEYFRAMES),
-        0.2 * rng.normal(size=KEYFRAMES),
-    ])
+    centres = np.column_stack(
+        [
+            np.linspace(-0.5, 0.5, KEYFRAMES) * PATH_WIDTH,
+            -DISTANCE + 0.1 * rng.normal(size=KEYFRAMES),
+            0.2 * rng.normal(size=KEYFRAMES),
+        ]
+    )
     targets = 0.15 * rng.normal(size=(KEYFRAMES, 3)) * [1.0, 0.0, 1.0]
     return look_at(centres, targets, np.array([0.0, 0.0, 1.0]))
 
@@ -113,8 +115,13 @@ def summarise(results: Results) -> Summary:
     no_joint = results.column('p_joint') < SIGNIFICANCE
     no_fixed = results.column('p_fixed') < SIGNIFICANCE
     rows = tuple(
-        (pair, f'{np.mean(joint[:, k]):.3f}', f'{np.mean(fixed[:, k]):.3f}',
-         f'{np.mean(no_joint[:, k]):.1%}', f'{np.mean(no_fixed[:, k]):.1%}')
+        (
+            pair,
+            f'{np.mean(joint[:, k]):.3f}',
+            f'{np.mean(fixed[:, k]):.3f}',
+            f'{np.mean(no_joint[:, k]):.1%}',
+            f'{np.mean(no_fixed[:, k]):.1%}',
+        )
         for k, pair in enumerate(PAIRS)
     )
     expected = np.arange(len(PAIRS)) == CHANGED
@@ -124,12 +131,24 @@ def summarise(results: Results) -> Summary:
     mean = [float(np.mean(factor[:, same])) for factor in (joint, fixed)]
     wrong = [float(np.mean(refused[:, same])) for refused in (no_joint, no_fixed)]
     checks = (
-        Check('only 2–3 is refused at the 99th percentile', f'≥ {MIN_ONLY_CHANGED:.0%} of runs',
-              f'{only[0]:.1%}', only[0] >= MIN_ONLY_CHANGED),
-        Check('fixed transform: larger ã of unchanged pairs', 'mean above ours',
-              f'{mean[1]:.3f} against {mean[0]:.3f}', mean[1] > mean[0]),
-        Check('fixed transform: more false positives', 'share above ours',
-              f'{wrong[1]:.1%} against {wrong[0]:.1%}', wrong[1] > wrong[0]),
+        Check(
+            'only 2–3 is refused at the 99th percentile',
+            f'≥ {MIN_ONLY_CHANGED:.0%} of runs',
+            f'{only[0]:.1%}',
+            only[0] >= MIN_ONLY_CHANGED,
+        ),
+        Check(
+            'fixed transform: larger ã of unchanged pairs',
+            'mean above ours',
+            f'{mean[1]:.3f} against {mean[0]:.3f}',
+            mean[1] > mean[0],
+        ),
+        Check(
+            'fixed transform: more false positives',
+            'share above ours',
+            f'{wrong[1]:.1%} against {wrong[0]:.1%}',
+            wrong[1] > wrong[0],
+        ),
     )
     notes = (
         f'calibrated tests of three unchanged pairs let {(1 - SIGNIFICANCE) ** 3:.1%} of the runs '
@@ -148,8 +167,13 @@ def draw(results: Results) -> Figure:
     first, at = results.values[0], np.arange(len(PAIRS))
     one.bar(at - 0.2, first['joint'], 0.4, color=OURS, label='transform and landmarks together')
     one.bar(at + 0.2, first['fixed'], 0.4, color=PROCRUSTES, label='transform fixed before')
-    one.step(np.append(at, at[-1] + 1) - 0.5, _closed(first['limit']), where='post', color=PAPER,
-             label='99th percentile')
+    one.step(
+        np.append(at, at[-1] + 1) - 0.5,
+        _closed(first['limit']),
+        where='post',
+        color=PAPER,
+        label='99th percentile',
+    )
     one.set_xticks(at, PAIRS)
     one.set_yscale('log')
     one.set_ylim(0.3, 8.0 * max(*first['joint'], *first['fixed']))

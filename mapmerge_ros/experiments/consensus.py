@@ -123,9 +123,7 @@ def _largest_agreement(parts: list[Part], trial: _Trial) -> tuple[list[Part], li
     return best
 
 
-def _grow(
-    kept: list[Part], waiting: list[Part], trial: _Trial
-) -> tuple[list[Part], list[Part]]:
+def _grow(kept: list[Part], waiting: list[Part], trial: _Trial) -> tuple[list[Part], list[Part]]:
     """Add parts one at a time, the one with most in common first; return kept and refused."""
     kept, waiting, refused = list(kept), list(waiting), list[Part]()
     while waiting:

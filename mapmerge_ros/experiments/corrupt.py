@@ -100,8 +100,7 @@ def is_named(found: Consensus, corrupt_rows: Ints) -> bool:
     """Every corrupt key frame is in a refused part, and every refused part has one."""
     inside = np.isin(corrupt_rows, found.refused_rows).all()
     return bool(
-        inside
-        and all(np.isin(part.keyframe_rows, corrupt_rows).any() for part in found.refused)
+        inside and all(np.isin(part.keyframe_rows, corrupt_rows).any() for part in found.refused)
     )
 
 
@@ -114,17 +113,31 @@ def summarise(results: Results) -> Summary:
     ratio = _rms(merged) / _rms(reference)
     each = merged / reference
     rows = (
-        ('bundle with the corrupt part', f'{1e3 * _rms(corrupt):.1f}',
-         f'{1e3 * np.median(corrupt):.1f}'),
+        (
+            'bundle with the corrupt part',
+            f'{1e3 * _rms(corrupt):.1f}',
+            f'{1e3 * np.median(corrupt):.1f}',
+        ),
         ('bundle without it', f'{1e3 * _rms(reference):.2f}', f'{1e3 * np.median(reference):.2f}'),
-        ('merged parts that are kept', f'{1e3 * _rms(merged):.2f}',
-         f'{1e3 * np.median(merged):.2f}'),
+        (
+            'merged parts that are kept',
+            f'{1e3 * _rms(merged):.2f}',
+            f'{1e3 * np.median(merged):.2f}',
+        ),
     )
     checks = (
-        Check('the corrupt part is named', f'≥ {MIN_NAMED:.0%} of runs', f'{named:.1%}',
-              named >= MIN_NAMED),
-        Check('RMSE against the bundle without it', f'≤ {MAX_RMSE_RATIO:.2f} times',
-              f'{ratio:.3f}', ratio <= MAX_RMSE_RATIO),
+        Check(
+            'the corrupt part is named',
+            f'≥ {MIN_NAMED:.0%} of runs',
+            f'{named:.1%}',
+            named >= MIN_NAMED,
+        ),
+        Check(
+            'RMSE against the bundle without it',
+            f'≤ {MAX_RMSE_RATIO:.2f} times',
+            f'{ratio:.3f}',
+            ratio <= MAX_RMSE_RATIO,
+        ),
     )
     notes = (
         '{} to {} of {} key frames are corrupt: '.format(*CORRUPT_KEYFRAMES, KEYFRAMES)
@@ -158,10 +171,20 @@ def draw(results: Results) -> Figure:
     stretch.set_xlim(-0.5, KEYFRAMES - 0.5)
     label(stretch, 'key frame', 'run', 'Named parts')
     reference = 1e3 * results.column('rmse_reference')
-    error.loglog(reference, 1e3 * results.column('rmse_corrupt'), '.', color=FULL,
-                 label='bundle with the corrupt part')
-    error.loglog(reference, 1e3 * results.column('rmse_merged'), '.', color=OURS,
-                 label='merged parts that are kept')
+    error.loglog(
+        reference,
+        1e3 * results.column('rmse_corrupt'),
+        '.',
+        color=FULL,
+        label='bundle with the corrupt part',
+    )
+    error.loglog(
+        reference,
+        1e3 * results.column('rmse_merged'),
+        '.',
+        color=OURS,
+        label='merged parts that are kept',
+    )
     ends = [float(reference.min()), float(reference.max())]
     error.plot(ends, ends, color=NEUTRAL)
     error.set_ylim(top=2e3 * float(results.column('rmse_corrupt').max()))

@@ -120,30 +120,51 @@ def summarise(results: Results) -> Summary:
     curves = {name: results.column(name).mean(axis=0) for name in ('gradient', *CURVES)}
     full, converged = results.column('full').mean(), results.column('converged').mean()
     rows = tuple(
-        (f'{curves["gradient"][k]:.1e}', *(f'{curves[name][k]:.4f}' for name in CURVES),
-         f'{full:.4f}', f'{curves["ours"][k] / full:.3f}')
+        (
+            f'{curves["gradient"][k]:.1e}',
+            *(f'{curves[name][k]:.4f}' for name in CURVES),
+            f'{full:.4f}',
+            f'{curves["ours"][k] / full:.3f}',
+        )
         for k in range(len(TOLERANCES))
     )
     table = Table(
         'Mean RMSE [m] of bundles stopped early',
-        ('#gradient norm', '#single maps', '#Procrustes', '#paper (c = 0)', '#ours (c)',
-         '#full bundle', '#ours / full'),
+        (
+            '#gradient norm',
+            '#single maps',
+            '#Procrustes',
+            '#paper (c = 0)',
+            '#ours (c)',
+            '#full bundle',
+            '#ours / full',
+        ),
         rows,
     )
     near = curves['single'] <= NEAR * converged
     loss = float(np.max(curves['ours'][near] / full, initial=0.0))
     decades = float(np.log10(curves['gradient'].max() / curves['gradient'].min()))
     checks = (
-        Check(f'ours / full bundle where single maps are within {NEAR:g} × converged',
-              f'≤ {MAX_LOSS}', f'{loss:.4f}', loss <= MAX_LOSS and bool(near.any())),
-        *(_never_above(curves, name, text)
-          for name, text in (('paper', "the paper's form"), ('procrustes', 'Procrustes'))),
+        Check(
+            f'ours / full bundle where single maps are within {NEAR:g} × converged',
+            f'≤ {MAX_LOSS}',
+            f'{loss:.4f}',
+            loss <= MAX_LOSS and bool(near.any()),
+        ),
+        *(
+            _never_above(curves, name, text)
+            for name, text in (('paper', "the paper's form"), ('procrustes', 'Procrustes'))
+        ),
         Check('decades of the gradient norm', '≥ 4', f'{decades:.1f}', decades >= 4.0),
     )
-    return Summary((table,), checks, (
-        f'{SHARED} of 100 landmarks are merged and measured, after Procrustes to the truth; '
-        f'the converged maps by themselves have {converged:.4f}.',
-    ))
+    return Summary(
+        (table,),
+        checks,
+        (
+            f'{SHARED} of 100 landmarks are merged and measured, after Procrustes to the truth; '
+            f'the converged maps by themselves have {converged:.4f}.',
+        ),
+    )
 
 
 def _never_above(curves: dict[str, Floats], name: str, text: str) -> Check:
@@ -167,8 +188,12 @@ def draw(results: Results) -> Figure:
     axes.axhline(float(results.column('full').mean()), ls='--', color=FULL, label='full bundle')
     axes.set_xscale('log')
     axes.set_yscale('log')
-    label(axes, 'mean gradient norm ‖2 rᵀJ‖ of the single maps', 'mean RMSE [m]',
-          f'Bundles stopped early, {len(results.values)} runs')
+    label(
+        axes,
+        'mean gradient norm ‖2 rᵀJ‖ of the single maps',
+        'mean RMSE [m]',
+        f'Bundles stopped early, {len(results.values)} runs',
+    )
     return figure
 
 

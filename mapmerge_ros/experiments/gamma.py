@@ -67,18 +67,33 @@ def summarise(results: Results) -> Summary:
     rows = (
         ('mean of ã/σ²', f'{mean:.2f}', f'{DOF}'),
         ('standard deviation of ã/σ²', f'{std:.2f}', f'{np.sqrt(2 * DOF):.2f}'),
-        ('99th percentile', f'{np.quantile(prices, 0.99):.1f}',
-         f'{scipy.stats.chi2.ppf(0.99, DOF):.1f}'),
+        (
+            '99th percentile',
+            f'{np.quantile(prices, 0.99):.1f}',
+            f'{scipy.stats.chi2.ppf(0.99, DOF):.1f}',
+        ),
         ('refused at 1 %, σ known', f'{refused[0]:.2%}', '1 %'),
         ('refused at 1 %, σ estimated', f'{refused[1]:.2%}', '1 %'),
     )
     checks = (
-        Check('ã/σ² is distributed as Γ(23, 2)', f'KS p ≥ {MIN_KS}', f'{ks_price:.2g}',
-              ks_price >= MIN_KS),
-        Check('mean of ã/σ²', f'{DOF} ± {MEAN_TOLERANCE:.0%}', f'{mean:.2f}',
-              abs(mean / DOF - 1.0) <= MEAN_TOLERANCE),
-        Check('F test is calibrated when σ is estimated', f'KS p ≥ {MIN_KS}',
-              f'{ks_estimated:.2g}', ks_estimated >= MIN_KS),
+        Check(
+            'ã/σ² is distributed as Γ(23, 2)',
+            f'KS p ≥ {MIN_KS}',
+            f'{ks_price:.2g}',
+            ks_price >= MIN_KS,
+        ),
+        Check(
+            'mean of ã/σ²',
+            f'{DOF} ± {MEAN_TOLERANCE:.0%}',
+            f'{mean:.2f}',
+            abs(mean / DOF - 1.0) <= MEAN_TOLERANCE,
+        ),
+        Check(
+            'F test is calibrated when σ is estimated',
+            f'KS p ≥ {MIN_KS}',
+            f'{ks_estimated:.2g}',
+            ks_estimated >= MIN_KS,
+        ),
     )
     return Summary((Table('Price of merging', ('', '#ours', '#expected'), rows),), checks)
 
@@ -89,8 +104,13 @@ def draw(results: Results) -> Figure:
     price, uniform = figure.axes
     at = np.linspace(15.0, 90.0, 300)
     bins = np.linspace(15.0, 90.0, 41)
-    price.hist(results.column('a_tilde'), bins=bins.tolist(), density=True, color=NEUTRAL,
-               label=f'{len(results.values)} merges')
+    price.hist(
+        results.column('a_tilde'),
+        bins=bins.tolist(),
+        density=True,
+        color=NEUTRAL,
+        label=f'{len(results.values)} merges',
+    )
     price.plot(at, scipy.stats.chi2.pdf(at, DOF), color=PAPER, label=f'Γ({DOF // 2}, 2)')
     label(price, 'ã / σ²', 'density', 'Price of merging three maps')
     bins = np.linspace(0.0, 1.0, 21)

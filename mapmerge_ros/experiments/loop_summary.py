@@ -58,8 +58,7 @@ def summarise(results: Results) -> Summary:
 
 def _rates(results: Results, scene: str) -> dict[str, float]:
     return {
-        name: results.share(results.column(f'{scene}_{name}') < SUCCESS)
-        for name, *_ in METHODS
+        name: results.share(results.column(f'{scene}_{name}') < SUCCESS) for name, *_ in METHODS
     }
 
 
@@ -124,8 +123,14 @@ def _jacobians(results: Results) -> Table:
         rows.append((said[0], str(points), said[1], full, said[2], f'{rows_r} x {columns_r}'))
     return Table(
         'Jacobians of one run of the wide scene (Table I)',
-        ('map', '#points', '#full: paper', '#full: ours', '#compressed: paper',
-         '#compressed: ours'),
+        (
+            'map',
+            '#points',
+            '#full: paper',
+            '#full: ours',
+            '#compressed: paper',
+            '#compressed: ours',
+        ),
         tuple(rows),
     )
 
@@ -149,8 +154,12 @@ def _gaps(results: Results) -> list[Check]:
 def _wrong(results: Results) -> Check:
     wrong = _is_wrong(results, 'wide')
     believed = int(np.count_nonzero(wrong & (results.column('wide_accepted') > 0.0)))
-    return Check('wide: wrong merges that are accepted', '0',
-                 f'{believed} of {np.count_nonzero(wrong)} wrong', believed == 0)
+    return Check(
+        'wide: wrong merges that are accepted',
+        '0',
+        f'{believed} of {np.count_nonzero(wrong)} wrong',
+        believed == 0,
+    )
 
 
 def _coverage(results: Results) -> list[Check]:
@@ -173,9 +182,7 @@ def draw(results: Results) -> Figure:
         for name, text, _, colour in METHODS:
             errors: Floats = np.sort(results.column(f'{scene}_{name}'))
             style, order = ('--', 4) if name == 'full' else ('-', 3)
-            axes.step(
-                errors, share, style, where='post', color=colour, label=text, zorder=order
-            )
+            axes.step(errors, share, style, where='post', color=colour, label=text, zorder=order)
         axes.axvline(SUCCESS, color='0.6', lw=0.8)
         axes.set_xscale('log')
         label(axes, 'RMSE [m]', 'share of runs', f'Corners spread over {width} m')

@@ -55,8 +55,10 @@ def run_one(seed: int, run: int) -> Values:
         'pairs': listed_pairs(points_world),
         'ids': common,
         'truth': distances(points_world, pairs),
-        **{name: distances(_scaled(points_world, points), pairs)
-           for name, points in zip(METHODS, maps, strict=True)},
+        **{
+            name: distances(_scaled(points_world, points), pairs)
+            for name, points in zip(METHODS, maps, strict=True)
+        },
         'accepted': merged.verdict.accepted,
         'merge_size': merge_size(submaps),
         'full_size': (joint.residual_count, joint.dof + int(joint.gauge)),

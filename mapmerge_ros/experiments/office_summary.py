@@ -51,24 +51,36 @@ def summarise(results: Results) -> Summary:
     rms, listed = errors_mm(results)
     first = results.values[0]
     rows = [
-        (*(str(first['ids'][i]) for i in pair),
-         *(f'{1e3 * first[name][k]:.1f}' for name in (*METHODS, 'truth')),
-         *(f'{rms[m, k]:.1f}' for m in range(len(METHODS))))
+        (
+            *(str(first['ids'][i]) for i in pair),
+            *(f'{1e3 * first[name][k]:.1f}' for name in (*METHODS, 'truth')),
+            *(f'{rms[m, k]:.1f}' for m in range(len(METHODS))),
+        )
         for pair, k in zip(first['pairs'], listed, strict=True)
     ]
-    columns = ('#pt 1', '#pt 2', *(f'#{title}' for title in (*TITLES, 'truth')),
-               *(f'#RMS {title}' for title in TITLES))
+    columns = (
+        '#pt 1',
+        '#pt 2',
+        *(f'#{title}' for title in (*TITLES, 'truth')),
+        *(f'#RMS {title}' for title in TITLES),
+    )
     _, procrustes, ours, full = rms
     share = float(np.mean(ours < procrustes))
     sizes = tuple(int(v) for v in first['merge_size']), tuple(int(v) for v in first['full_size'])
     checks = (
-        Check('every listed distance closer to truth than with Procrustes', '5 of 5',
-              f'{np.count_nonzero(ours[listed] < procrustes[listed])} of {len(listed)}',
-              bool((ours[listed] < procrustes[listed]).all())),
-        Check('merge Jacobian', '288 × 100', '{} × {}'.format(*sizes[0]),
-              sizes[0] == MERGE_SIZE),
-        Check('Jacobian of the full bundle', '49600 × 8997', '{} × {}'.format(*sizes[1]),
-              sizes[1] == FULL_SIZE),
+        Check(
+            'every listed distance closer to truth than with Procrustes',
+            '5 of 5',
+            f'{np.count_nonzero(ours[listed] < procrustes[listed])} of {len(listed)}',
+            bool((ours[listed] < procrustes[listed]).all()),
+        ),
+        Check('merge Jacobian', '288 × 100', '{} × {}'.format(*sizes[0]), sizes[0] == MERGE_SIZE),
+        Check(
+            'Jacobian of the full bundle',
+            '49600 × 8997',
+            '{} × {}'.format(*sizes[1]),
+            sizes[1] == FULL_SIZE,
+        ),
     )
     notes = (
         f'of all {len(ours)} distances, {share:.1%} are closer to truth than with Procrustes',
@@ -78,8 +90,11 @@ def summarise(results: Results) -> Summary:
         f'merge accepted in {results.share(results.column("accepted") > 0):.1%} of the runs',
         'every map is brought to the scale of truth by a similarity over its 24 landmarks',
     )
-    return Summary((Table('Distances [mm]: first run, and RMS error of all runs', columns,
-                          tuple(rows)),), checks, notes)
+    return Summary(
+        (Table('Distances [mm]: first run, and RMS error of all runs', columns, tuple(rows)),),
+        checks,
+        notes,
+    )
 
 
 def _mean(rms: Floats) -> float:

@@ -41,17 +41,19 @@ def write_results(
 
 def results_json(experiment: Experiment, results: Results, summary: Summary) -> str:
     """Everything, the runs last; numbers that are not finite become null."""
-    content = plain({
-        'experiment': experiment.name,
-        'title': experiment.title,
-        'version': __version__,
-        'seed': results.seed,
-        'runs': results.asked,
-        'complete': results.complete,
-        'summary': asdict(summary),
-        'failures': [asdict(failure) for failure in results.failures],
-        'results': list(results.values),
-    })
+    content = plain(
+        {
+            'experiment': experiment.name,
+            'title': experiment.title,
+            'version': __version__,
+            'seed': results.seed,
+            'runs': results.asked,
+            'complete': results.complete,
+            'summary': asdict(summary),
+            'failures': [asdict(failure) for failure in results.failures],
+            'results': list(results.values),
+        }
+    )
     return json.dumps(_finite(content), indent=1, ensure_ascii=False, allow_nan=False) + '\n'
 
 

@@ -67,9 +67,7 @@ def compare_with_truth(fusion: Fusion, truth: RecordingTruth) -> TruthComparison
     )
 
 
-def _merged_points(
-    landmarks: Landmarks, truth: RecordingTruth
-) -> list[tuple[int, Floats]]:
+def _merged_points(landmarks: Landmarks, truth: RecordingTruth) -> list[tuple[int, Floats]]:
     """True id and merged position of every landmark that several sub-maps have."""
     names = {
         true_map.map_id: dict(

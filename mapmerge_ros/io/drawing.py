@@ -132,9 +132,7 @@ def density(verdict: Verdict, redundancy: int) -> str:
     )
 
 
-def _mark(
-    at: float, found: float, base: float, beyond: bool, accepted: bool
-) -> Sequence[str]:
+def _mark(at: float, found: float, base: float, beyond: bool, accepted: bool) -> Sequence[str]:
     kind = 'good' if accepted else 'bad'
     anchor = 'end' if at > WIDTH / 2.0 else 'start'
     offset = -8.0 if anchor == 'end' else 8.0

@@ -99,9 +99,7 @@ def numbers(msg: Any, name: str, dtype: npt.DTypeLike) -> Array:
     return np.asarray(getattr(msg, name), dtype=dtype)
 
 
-def rows(
-    msg: Any, name: str, dtype: npt.DTypeLike, width: int, count: int | None = None
-) -> Array:
+def rows(msg: Any, name: str, dtype: npt.DTypeLike, width: int, count: int | None = None) -> Array:
     """Array (count, width) of a field; `count` None is any."""
     values = numbers(msg, name, dtype)
     if len(values) % width or count not in (None, len(values) // width):

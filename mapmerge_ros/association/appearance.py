@@ -1,0 +1,94 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""How alike two landmarks look, and what that says about their being one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmerge_ros.arrays import Floats, Ints, Mask
+from mapmerge_ros.association.landmarks import Landmarks
+from mapmerge_ros.submap import Descriptors, DescriptorType
+
+LARGEST_LOG_RATIO = 12.0
+"""Of what a descriptor alone may say: the tails of a distribution learnt from few links lie."""
+
+
+def comparable(a: Descriptors, b: Descriptors) -> bool:
+    """Whether a distance between the two is defined."""
+    return a.type is b.type and a.size == b.size and a.type is not DescriptorType.NONE
+
+
+def described(descriptors: Descriptors) -> Mask:
+    """Which landmarks (n,) have a descriptor: all zeros mean none."""
+    return np.asarray(descriptors.rows.any(axis=1))
+
+
+def distances(a: Descriptors, b: Descriptors, of_a: Ints, of_b: Ints) -> Floats:
+    """Distance (n,) of pairs of descriptors: bits that differ, or Euclidean; nan without one."""
+    if not comparable(a, b):
+        return np.full(len(of_a), np.nan)
+    rows_a, rows_b = a.rows[of_a], b.rows[of_b]
+    if a.type is DescriptorType.BINARY:
+        found: Floats = np.bitwise_count(rows_a ^ rows_b).sum(axis=1).astype(np.float64)
+    else:
+        gaps = rows_a.astype(np.float32) - rows_b
+        found = np.sqrt(np.einsum('nd,nd->n', gaps, gaps)).astype(np.float64)
+    found[~(described(a)[of_a] & described(b)[of_b])] = np.nan
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Appearance:
+    """Distances of descriptors of one landmark and of neighbours, as normal distributions."""
+
+    right_mean: float
+    right_std: float
+    wrong_mean: float
+    wrong_std: float
+
+    @classmethod
+    def learnt(
+        cls,
+        a: Landmarks,
+        b: Landmarks,
+        of_a: Ints,
+        of_b: Ints,
+        near_a: Ints,
+        near_b: Ints,
+    ) -> Appearance:
+        """From links (`of_a`, `of_b`) and from neighbours, nearly all of which are wrong."""
+        right = distances(a.descriptors, b.descriptors, of_a, of_b)
+        wrong = distances(a.descriptors, b.descriptors, near_a, near_b)
+        right, wrong = right[~np.isnan(right)], wrong[~np.isnan(wrong)]
+        if len(right) < 3 or len(wrong) < 3:
+            return cls(0.0, 1.0, 0.0, 1.0)
+        least = 0.02 * float(np.mean(wrong)) + 1e-9
+        return cls(
+            float(np.mean(right)),
+            max(float(np.std(right)), least),
+            float(np.mean(wrong)),
+            max(float(np.std(wrong)), least),
+        )
+
+    def log_ratio(self, distance: Floats) -> Floats:
+        """Log likelihood ratio (n,) of being one landmark; falls with distance, 0 for nan."""
+        inside = np.clip(distance, *self._monotone())
+        value = (
+            0.5 * ((inside - self.wrong_mean) / self.wrong_std) ** 2
+            - 0.5 * ((inside - self.right_mean) / self.right_std) ** 2
+            + np.log(self.wrong_std / self.right_std)
+        )
+        return np.asarray(
+            np.nan_to_num(np.clip(value, -LARGEST_LOG_RATIO, LARGEST_LOG_RATIO), nan=0.0)
+        )
+
+    def _monotone(self) -> tuple[float, float]:
+        """Distances between which the ratio of the two normal densities falls."""
+        right, wrong = self.right_std**-2, self.wrong_std**-2
+        if np.isclose(right, wrong):
+            return -np.inf, np.inf
+        turn = (right * self.right_mean - wrong * self.wrong_mean) / (right - wrong)
+        return (turn, np.inf) if right > wrong else (-np.inf, turn)

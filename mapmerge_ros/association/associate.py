@@ -1,0 +1,125 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""From sub-maps to tracks: pairs → loops → second look → tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from mapmerge_ros.arrays import Ints
+from mapmerge_ros.association.config import AssociationConfig
+from mapmerge_ros.association.consensus import greedy_tracks, transitive
+from mapmerge_ros.association.landmarks import Landmarks
+from mapmerge_ros.association.memory import Memory, Named
+from mapmerge_ros.association.network import Network, close_loops
+from mapmerge_ros.association.pair import Decision, PairMatch
+from mapmerge_ros.association.second_look import Links, second_look
+from mapmerge_ros.geometry import Similarity
+from mapmerge_ros.submap import DescriptorType, SubMap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correspondences:
+    """Which landmarks of which sub-maps are one point, the whole catalogue included."""
+
+    tracks: tuple[Ints, ...]
+    """Per sub-map the track (n_k,) of each landmark, in the order of its message"""
+    count: int
+    matches: dict[tuple[int, int], PairMatch]
+    """Every pair that was looked at, by index; what came of it and why"""
+
+
+def associate(
+    submaps: Sequence[SubMap],
+    config: AssociationConfig | None = None,
+    memory: Memory | None = None,
+) -> Correspondences:
+    """
+    Match sub-maps by descriptors and geometry; ids play no part.
+
+    The result does not depend on the order of the sub-maps. `memory` keeps what was found about
+    pairs, so that a new sub-map is matched against the others and nothing else is done again.
+    """
+    config, memory = config or AssociationConfig(), memory or Memory()
+    maps = tuple(submaps)
+    named = [Named(submap) for submap in maps]
+    memory.turn()
+    matches = {
+        (a, b): memory.match(named[a], named[b], config)
+        for a, b in combinations(range(len(maps)), 2)
+    }
+    network = close_loops(maps, matches)
+    marks = [Landmarks.of(submap) for submap in maps]
+    links = {
+        pair: _sure(_looked_again(marks, named, pair, match, memory), marks[pair[0]], config)
+        for pair, match in network.matches.items()
+        if match.decision is Decision.JOINED
+    }
+    sizes = [len(own) for own in marks]
+    tracks = greedy_tracks(sizes, links)
+    composed = _composed(marks, network, tracks, config)
+    if composed:
+        tracks = greedy_tracks(sizes, {**links, **composed})
+    count = max((int(own.max()) + 1 for own in tracks), default=0)
+    return Correspondences(
+        tuple(_in_message_order(own, mark) for own, mark in zip(tracks, marks, strict=True)),
+        count,
+        network.matches,
+    )
+
+
+def _looked_again(
+    marks: Sequence[Landmarks],
+    named: Sequence[Named],
+    pair: tuple[int, int],
+    match: PairMatch,
+    memory: Memory,
+) -> Links:
+    a, b = pair
+    assert match.S_a_b is not None
+    first = Links(
+        named[a].ranks[match.rows_a],
+        named[b].ranks[match.rows_b],
+        np.ones(len(match.rows_a)),
+    )
+    moved = marks[b].moved(match.S_a_b)
+    return memory.links(named[a], named[b], lambda: second_look(marks[a], moved, first))
+
+
+def _composed(
+    marks: Sequence[Landmarks],
+    network: Network,
+    tracks: Sequence[Ints],
+    config: AssociationConfig,
+) -> dict[tuple[int, int], Links]:
+    """Links of pairs that no direct match joined, but whose frames others tell."""
+    found = {}
+    for group in network.components:
+        for a, b in combinations(group, 2):
+            match = network.matches.get((a, b))
+            if match is not None and match.decision is Decision.JOINED:
+                continue
+            first = transitive(tracks, a, b)
+            if len(first) < config.min_transitive:
+                continue
+            S_a_b: Similarity = network.S_root_map[a].inverse() @ network.S_root_map[b]
+            found[a, b] = _sure(
+                second_look(marks[a], marks[b].moved(S_a_b), first), marks[a], config
+            )
+    return found
+
+
+def _sure(links: Links, mark: Landmarks, config: AssociationConfig) -> Links:
+    """Links with a posterior that is high enough for this kind of descriptor."""
+    sift = mark.descriptors.type is DescriptorType.SIFT
+    return links.above(config.min_posterior_sift if sift else config.min_posterior_binary)
+
+
+def _in_message_order(tracks: Ints, mark: Landmarks) -> Ints:
+    ordered = np.empty_like(tracks)
+    ordered[mark.rows] = tracks
+    return ordered
