@@ -91,6 +91,11 @@ def _doubts(evidence: Evidence, config: AssociationConfig) -> list[str]:
             f'another alignment has {evidence.second_ratio:.0%} of the support, '
             f'above {config.max_second_ratio:.0%}: repeated structure',
         ),
+        (
+            evidence.clear_ratio <= config.max_clear_ratio,
+            f'even the clearest descriptors are at {evidence.clear_ratio:.2f} of the second '
+            f'best, above {config.max_clear_ratio:g}: repeated structure',
+        ),
     ]
     return [words for holds, words in checks if not holds]
 

@@ -98,6 +98,8 @@ def _refine(
         if found.log_nfa > best.log_nfa:
             break
         best = found
+        if np.array_equal(found.inliers, inliers):
+            break
     return best if np.isfinite(best.log_nfa) else None
 
 

@@ -20,13 +20,14 @@ class AssociationConfig:
     seed: int = 0
     """Of the samples; candidates are in canonical order, so the content decides the rest."""
     samples: int = 30_000
-    max_models: int = 1500
+    max_judged: int = 60_000
+    min_models: int = 200
     min_side_ratio: float = 0.1
     max_side_disagreement: float = 0.25
     min_triangle_height: float = 0.1
     max_scored: int = 300
-    max_background: int = 300
-    refined_models: int = 20
+    max_background: int = 150
+    refined_models: int = 10
     refinements: int = 10
     max_tolerance_ratio: float = 0.2
     overlap_radius: float = 2.5
@@ -38,3 +39,5 @@ class AssociationConfig:
     min_inlier_ratio: float = 0.36
     min_agreeing_ratio: float = 0.72
     max_second_ratio: float = 0.5
+    clear_share: float = 0.1
+    max_clear_ratio: float = 0.63

@@ -31,6 +31,7 @@ def gather(
         inlier_ratio=inliers / len(matched),
         agreeing_ratio=_agreeing_ratio(matched, ratios, aligned, config),
         second_ratio=_second_support(matched, aligned, gauge, config) / inliers,
+        clear_ratio=float(np.quantile(ratios[aligned.inliers], config.clear_share)),
     )
 
 

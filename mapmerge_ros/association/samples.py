@@ -57,7 +57,7 @@ def sampled_models(
     rows = _draw(len(points_a), gauge.minimal_points, config)
     corners_a, corners_b = points_a[rows], points_b[rows]
     kept = np.flatnonzero(_plausible(corners_a, corners_b, gauge, points_a, points_b, config))
-    kept = kept[: config.max_models]
+    kept = kept[: max(config.max_judged // len(points_a), config.min_models)]
     return _fit(corners_a[kept], corners_b[kept], gauge)
 
 
