@@ -41,3 +41,12 @@ class AssociationConfig:
     max_second_ratio: float = 0.5
     clear_share: float = 0.1
     max_clear_ratio: float = 0.63
+    screen_above: int = 12
+    hash_tables: int = 32
+    hash_bits: int = 20
+    max_bucket: int = 64
+    max_alike_binary: float = 0.2
+    max_alike_sift: float = 0.09
+    min_alike: int = 4
+    min_alike_ratio: float = 0.003
+    best_partners: int = 4
