@@ -19,7 +19,7 @@ class AssociationConfig:
     """Fewer cannot be significant in any group."""
     seed: int = 0
     """Of the samples; candidates are in canonical order, so the content decides the rest."""
-    samples: int = 30_000
+    samples: int = 15_000
     max_judged: int = 60_000
     min_models: int = 200
     min_side_ratio: float = 0.1

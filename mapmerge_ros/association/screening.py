@@ -42,7 +42,8 @@ def worth_matching(
     # Ties at the last place are all in: a cut through them would depend on the order.
     last = np.sort(scores, axis=1)[:, -partners][:, None]
     wanted |= (scores >= last) & (scores > 0)
-    return tuple(map(tuple, np.argwhere(np.triu(wanted | wanted.T, 1)).tolist()))
+    pairs = np.argwhere(np.triu(wanted | wanted.T, 1))
+    return tuple((int(i), int(j)) for i, j in pairs)
 
 
 def likeness(signatures: Sequence[Signature], config: AssociationConfig) -> Ints:

@@ -65,7 +65,8 @@ def _sift_codes(rows: Bytes) -> Bytes:
 @cache
 def _projections() -> Floats:
     directions = np.random.default_rng(0).normal(size=(128, SIFT_CODE_BITS))
-    return (directions - directions.mean(axis=0)).astype(np.float32)
+    projections: Floats = (directions - directions.mean(axis=0)).astype(np.float32)
+    return projections
 
 
 def _keys(codes: Bytes, bits: int, config: AssociationConfig) -> npt.NDArray[np.uint32]:
@@ -82,10 +83,12 @@ def _keys(codes: Bytes, bits: int, config: AssociationConfig) -> npt.NDArray[np.
 @cache
 def _chosen_bits(bits: int, tables: int, size: int) -> Ints:
     rng = np.random.default_rng(0)
-    return np.array([rng.permutation(bits)[:size] for _ in range(tables)])
+    chosen: Ints = np.array([rng.permutation(bits)[:size] for _ in range(tables)])
+    return chosen
 
 
 @cache
 def _popcount() -> Bytes:
     every = np.arange(1 << 16, dtype=np.uint16).view(np.uint8).reshape(-1, 2)
-    return np.unpackbits(every, axis=1).sum(axis=1, dtype=np.uint8)
+    counts: Bytes = np.unpackbits(every, axis=1).sum(axis=1, dtype=np.uint8)
+    return counts
