@@ -42,6 +42,12 @@ class Evidence:
 
     Where elements repeat, a wrong twin is hardly nearer than the next one: all ratios near 1.
     """
+    peculiar_score: float = 0.0
+    """
+    Standard score of how much rather landmarks that are like no other one of their map match.
+
+    Far below zero: only what has a twin was found. The better of both maps.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
