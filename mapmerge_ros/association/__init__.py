@@ -6,6 +6,8 @@ from mapmerge_ros.association.align_pair import match_pair
 from mapmerge_ros.association.config import AssociationConfig
 from mapmerge_ros.association.nearest import Candidates, nearest
 from mapmerge_ros.association.pair import Decision, Evidence, PairMatch
+from mapmerge_ros.association.screening import likeness, screen, worth_matching
+from mapmerge_ros.association.signature import Signature, signature
 
 __all__ = [
     'AssociationConfig',
@@ -13,6 +15,11 @@ __all__ = [
     'Decision',
     'Evidence',
     'PairMatch',
+    'Signature',
+    'likeness',
     'match_pair',
     'nearest',
+    'screen',
+    'signature',
+    'worth_matching',
 ]

@@ -4,14 +4,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.association.alignment import Aligned, Matched, align_candidates
 from mapmerge_ros.association.config import AssociationConfig
-from mapmerge_ros.association.evidence import gather
-from mapmerge_ros.association.nearest import Candidates, nearest
+from mapmerge_ros.association.evidence import decide, gather
+from mapmerge_ros.association.nearest import nearest
 from mapmerge_ros.association.pair import Decision, Evidence, PairMatch
+from mapmerge_ros.association.repetition import peculiar_score
 from mapmerge_ros.submap import SubMap, alignment_weights
 
 
@@ -32,7 +35,16 @@ def match_pair(a: SubMap, b: SubMap, config: AssociationConfig) -> PairMatch:
     gauge = max(a.gauge, b.gauge)
     aligned = align_candidates(matched, gauge, config)
     evidence = gather(matched, found.ratios, aligned, gauge, config)
-    decision, reason = decide(evidence, found, config)
+    if aligned is not None and evidence.log_nfa <= config.max_log_nfa:
+        inliers = aligned.inliers
+        scores = (
+            peculiar_score(own.points[order], own.descriptors[order], rows[inliers], config)
+            for own, order, rows in ((a, order_a, found.rows_a), (b, order_b, found.rows_b))
+        )
+        evidence = replace(evidence, peculiar_score=max(scores))
+    decision, reason = decide(evidence, config)
+    if found.reason:
+        reason = found.reason
     return _result(decision, reason, evidence, aligned, rows_a, rows_b)
 
 
@@ -42,57 +54,11 @@ def variances(submap: SubMap) -> Floats:
     if submap.covariances is not None:
         return np.asarray(submap.covariances[:, [0, 3, 5]].mean(axis=1), np.float64)
     if submap.compressed_count:
-        # With the other landmarks held, in place of the cameras: from R, unit variance.
+        # With the other landmarks held fixed in place of the cameras: what R says.
         weights = alignment_weights(submap.triangle())
         variance = submap.sigma**2 or submap.a**2 / max(submap.redundancy, 1)
         known[: submap.compressed_count] = variance / (3.0 * weights)
     return known
-
-
-def decide(
-    evidence: Evidence, found: Candidates, config: AssociationConfig
-) -> tuple[Decision, str]:
-    """JOINED only when everything speaks for it; what is missing, in words."""
-    if found.reason:
-        return Decision.APART, found.reason
-    if evidence.inliers == 0:
-        return Decision.APART, f'no alignment explains the {evidence.candidates} candidates'
-    if evidence.log_nfa > config.max_log_nfa_undecided:
-        return Decision.APART, (
-            f'{evidence.inliers} of {evidence.candidates} candidates agree, as by chance '
-            f'(log NFA {evidence.log_nfa:.1f})'
-        )
-    doubts = _doubts(evidence, config)
-    return (Decision.UNDECIDED, '; '.join(doubts)) if doubts else (Decision.JOINED, '')
-
-
-def _doubts(evidence: Evidence, config: AssociationConfig) -> list[str]:
-    checks = [
-        (
-            evidence.log_nfa <= config.max_log_nfa,
-            f'log NFA {evidence.log_nfa:.1f} above {config.max_log_nfa:g}',
-        ),
-        (
-            evidence.inliers >= config.min_inliers,
-            f'{evidence.inliers} inliers, below {config.min_inliers}',
-        ),
-        (
-            evidence.inlier_ratio >= config.min_inlier_ratio,
-            f'{evidence.inlier_ratio:.0%} of the candidates are inliers, '
-            f'below {config.min_inlier_ratio:.0%}',
-        ),
-        (
-            evidence.agreeing_ratio >= config.min_agreeing_ratio,
-            f'{evidence.agreeing_ratio:.0%} of the strong candidates in the overlap agree, '
-            f'below {config.min_agreeing_ratio:.0%}',
-        ),
-        (
-            evidence.second_ratio <= config.max_second_ratio,
-            f'another alignment has {evidence.second_ratio:.0%} of the support, '
-            f'above {config.max_second_ratio:.0%}: repeated structure',
-        ),
-    ]
-    return [words for holds, words in checks if not holds]
 
 
 def _result(

@@ -63,12 +63,12 @@ def align_candidates(matched: Matched, gauge: Gauge, config: AssociationConfig) 
     if len(matched) < config.min_candidates:
         return None
     limit = config.max_tolerance_ratio * _radius(matched.points_a)
-    models = sampled_models(matched.points_a, matched.points_b, gauge, config)
+    sparse = matched[_spread_rows(len(matched), config.max_scored)]
+    models = sampled_models(sparse.points_a, sparse.points_b, gauge, config)
     if not len(models) or limit == 0.0:
         return None
-    sparse = _spread_rows(len(matched), config.max_scored)
     near = _coarse_background(matched.points_a, config)
-    distances = models.distances(matched.points_a[sparse], matched.points_b[sparse])
+    distances = models.distances(sparse.points_a, sparse.points_b)
     scores = significance(distances, near, gauge.minimal_points, limit)
     order = np.argsort(scores.log_nfa, kind='stable')[: config.refined_models]
     best: Aligned | None = None
@@ -98,6 +98,8 @@ def _refine(
         if found.log_nfa > best.log_nfa:
             break
         best = found
+        if np.array_equal(found.inliers, inliers):
+            break
     return best if np.isfinite(best.log_nfa) else None
 
 

@@ -1,15 +1,16 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What speaks for an alignment beside the number of its inliers."""
+"""What speaks for an alignment beside the number of its inliers, and what it decides."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Mask
+from mapmerge_ros.arrays import Floats
 from mapmerge_ros.association.alignment import Aligned, Matched, align_candidates
 from mapmerge_ros.association.config import AssociationConfig
-from mapmerge_ros.association.pair import Evidence
+from mapmerge_ros.association.pair import Decision, Evidence
+from mapmerge_ros.association.repetition import within
 from mapmerge_ros.geometry import Gauge
 
 
@@ -31,7 +32,54 @@ def gather(
         inlier_ratio=inliers / len(matched),
         agreeing_ratio=_agreeing_ratio(matched, ratios, aligned, config),
         second_ratio=_second_support(matched, aligned, gauge, config) / inliers,
+        clear_ratio=float(np.quantile(ratios[aligned.inliers], config.clear_share)),
     )
+
+
+def decide(evidence: Evidence, config: AssociationConfig) -> tuple[Decision, str]:
+    """JOINED only when everything speaks for it; what is missing, in words."""
+    if evidence.inliers == 0:
+        return Decision.APART, f'no alignment explains the {evidence.candidates} candidates'
+    if evidence.log_nfa > config.max_log_nfa_undecided:
+        return Decision.APART, (
+            f'{evidence.inliers} of {evidence.candidates} candidates agree, as by chance '
+            f'(log NFA {evidence.log_nfa:.1f})'
+        )
+    doubts = _doubts(evidence, config)
+    return (Decision.UNDECIDED, '; '.join(doubts)) if doubts else (Decision.JOINED, '')
+
+
+def _doubts(evidence: Evidence, config: AssociationConfig) -> list[str]:
+    e, c = evidence, config
+    checks = [
+        (e.log_nfa <= c.max_log_nfa, f'log NFA {e.log_nfa:.1f} above {c.max_log_nfa:g}'),
+        (e.inliers >= c.min_inliers, f'{e.inliers} inliers, below {c.min_inliers}'),
+        (
+            e.inlier_ratio >= c.min_inlier_ratio,
+            f'{e.inlier_ratio:.0%} of the candidates are inliers, below {c.min_inlier_ratio:.0%}',
+        ),
+        (
+            e.agreeing_ratio >= c.min_agreeing_ratio,
+            f'{e.agreeing_ratio:.0%} of the strong candidates in the overlap agree, '
+            f'below {c.min_agreeing_ratio:.0%}',
+        ),
+        (
+            e.second_ratio <= c.max_second_ratio,
+            f'repeated structure: another alignment has {e.second_ratio:.0%} of the support, '
+            f'above {c.max_second_ratio:.0%}',
+        ),
+        (
+            e.clear_ratio <= c.max_clear_ratio,
+            f'repeated structure: even the clearest descriptors are at {e.clear_ratio:.2f} '
+            f'of the second best, above {c.max_clear_ratio:g}',
+        ),
+        (
+            e.peculiar_score >= c.min_peculiar_score,
+            'repeated structure: landmarks without a twin in their own map found no partner '
+            f'(score {e.peculiar_score:.1f}, below {c.min_peculiar_score:g})',
+        ),
+    ]
+    return [words for holds, words in checks if not holds]
 
 
 def _agreeing_ratio(
@@ -40,22 +88,11 @@ def _agreeing_ratio(
     """Share of the strong candidates with both ends in the overlap that agree."""
     inliers = aligned.inliers
     strong = ratios <= np.median(ratios[inliers])
-    overlap = _within(matched.points_a, inliers, config.overlap_radius)
-    overlap &= _within(matched.points_b, inliers, config.overlap_radius)
+    overlap = within(matched.points_a, inliers, config.overlap_radius)
+    overlap &= within(matched.points_b, inliers, config.overlap_radius)
     judged = strong & overlap
     agree = aligned.distances <= config.agreeing_tolerances * aligned.tolerance
     return float((agree & judged).sum() / max(judged.sum(), 1))
-
-
-def _within(points: Floats, inliers: Mask, radius: float) -> Mask:
-    """Which points are not farther off than `radius` standard deviations of the inliers."""
-    centred = points - points[inliers].mean(axis=0)
-    cov = np.atleast_2d(np.cov(centred[inliers].T, bias=True))
-    # Flat scenes: the thickness of the inliers is no measure of the overlap's.
-    cov = cov + 0.01 * np.trace(cov) * np.eye(3)
-    squared = np.einsum('ni,ij,nj->n', centred, np.linalg.inv(cov), centred)
-    near: Mask = squared <= radius**2
-    return near
 
 
 def _second_support(

@@ -36,6 +36,18 @@ class Evidence:
     """Share of the strong candidates in the overlap that agree with the alignment"""
     second_ratio: float
     """Support of a second alignment, on the candidates left over, over that of the first"""
+    clear_ratio: float = 1.0
+    """
+    Descriptor distance over that of the second best, up to which a tenth of the inliers are.
+
+    Where elements repeat, a wrong twin is hardly nearer than the next one: all ratios near 1.
+    """
+    peculiar_score: float = 0.0
+    """
+    Standard score of how much rather landmarks that are like no other one of their map match.
+
+    Far below zero: only what has a twin was found. The better of both maps.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)

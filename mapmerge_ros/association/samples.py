@@ -5,6 +5,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
+from math import comb
 
 import numpy as np
 
@@ -47,7 +50,7 @@ def sampled_models(
     points_a: Floats, points_b: Floats, gauge: Gauge, config: AssociationConfig
 ) -> Models:
     """
-    Alignments of random minimal samples of the candidates (n, 3), best candidates first.
+    Alignments of minimal samples of the candidates (n, 3): all samples of few, else random ones.
 
     Samples whose sides differ by more than a similarity (rigid motion, yaw) allows, or that are
     nearly on a line, are dropped before anything is computed from them: most of the wrong ones.
@@ -55,52 +58,91 @@ def sampled_models(
     if gauge is Gauge.NONE:
         return Models(np.ones(1), np.eye(3)[None], np.zeros((1, 3)))
     rows = _draw(len(points_a), gauge.minimal_points, config)
-    corners_a, corners_b = points_a[rows], points_b[rows]
-    kept = np.flatnonzero(_plausible(corners_a, corners_b, gauge, points_a, points_b, config))
-    kept = kept[: config.max_models]
-    return _fit(corners_a[kept], corners_b[kept], gauge)
+    if gauge is Gauge.YAW_TRANSLATION:
+        kept = _plausible_pairs(points_a, points_b, rows, config)
+    else:
+        kept = _plausible_triangles(points_a, points_b, rows, gauge, config)
+    chosen = rows[kept][: max(config.max_judged // len(points_a), config.min_models)]
+    return _fit(points_a[chosen], points_b[chosen], gauge)
 
 
 def _draw(count: int, size: int, config: AssociationConfig) -> Ints:
-    """(samples, size) different rows, half of the samples from the more distinctive ones."""
-    rng = np.random.default_rng(config.seed)
-    uniform = rng.random((config.samples, size))
-    uniform[::2] **= 2
+    """(samples, size) different rows; the more distinctive candidates first, or more often."""
+    if comb(count, size) <= config.samples:
+        return _all_samples(count, size)
+    uniform = np.random.default_rng(config.seed).random((size, config.samples))
+    uniform[:, ::2] **= 2
     rows: Ints = np.minimum((uniform * count).astype(np.int64), count - 1)
-    ordered = np.sort(rows, axis=1)
-    drawn: Ints = rows[(ordered[:, 1:] != ordered[:, :-1]).all(axis=1)]
+    different = np.ones(config.samples, bool)
+    for i, j in combinations(range(size), 2):
+        different &= rows[i] != rows[j]
+    drawn: Ints = rows[:, different].T
     return drawn
 
 
-def _plausible(
-    a: Floats,
-    b: Floats,
-    gauge: Gauge,
-    points_a: Floats,
-    points_b: Floats,
-    config: AssociationConfig,
+@lru_cache(maxsize=256)
+def _all_samples(count: int, size: int) -> Ints:
+    """Every set of `size` of `count` rows, those of small numbers first."""
+    rows = np.array(list(combinations(range(count), size)), np.int64).reshape(-1, size)
+    ordered: Ints = rows[np.argsort(rows.sum(axis=1), kind='stable')]
+    ordered.flags.writeable = False
+    return ordered
+
+
+def _plausible_triangles(
+    points_a: Floats, points_b: Floats, rows: Ints, gauge: Gauge, config: AssociationConfig
 ) -> Mask:
-    """Which samples (k, size, 3) may be the same figure in both maps, and a stable one."""
-    if gauge is Gauge.YAW_TRANSLATION:
-        return _plausible_yaw(a, b, points_a, points_b, config)
-    sides_a, sides_b = _sides(a), _sides(b)
-    shortest = config.min_side_ratio
-    kept = (sides_a.min(axis=1) > shortest * _extent(points_a)) & (
-        sides_b.min(axis=1) > shortest * _extent(points_b)
-    )
-    growth = np.log(np.maximum(sides_a, 1e-300)) - np.log(np.maximum(sides_b, 1e-300))
+    """Which triangles may be the same figure in both maps, and a stable one."""
+    sides_a, sides_b = _sides(points_a, rows), _sides(points_b, rows)
+    growth = sides_a - sides_b
+    most, least = _extremes(growth)
     if gauge is Gauge.SIMILARITY:
-        kept &= np.ptp(growth, axis=1) < config.max_side_disagreement
+        alike = most - least < config.max_side_disagreement
     else:
-        kept &= np.abs(growth).max(axis=1) < config.max_side_disagreement
-    stable: Mask = kept & (_slimness(sides_a) > config.min_triangle_height)
-    return stable
+        alike = (most < config.max_side_disagreement) & (-least < config.max_side_disagreement)
+    chosen = np.flatnonzero(alike)
+    longest, shortest = _extremes(sides_a[:, chosen])
+    shortest_b = _extremes(sides_b[:, chosen])[1]
+    stable = shortest > np.log(config.min_side_ratio * _extent(points_a))
+    stable &= shortest_b > np.log(config.min_side_ratio * _extent(points_b))
+    stable &= _height_ratio(np.exp(sides_a[:, chosen] - longest)) > config.min_triangle_height
+    kept = np.zeros(len(rows), bool)
+    kept[chosen[stable]] = True
+    return kept
 
 
-def _plausible_yaw(
-    a: Floats, b: Floats, points_a: Floats, points_b: Floats, config: AssociationConfig
+def _sides(points: Floats, rows: Ints) -> Floats:
+    """(3, k) logarithms of the sides of triangles."""
+    apart = points[:, None] - points
+    logs = 0.5 * np.log(np.einsum('ijk,ijk->ij', apart, apart) + np.finfo(float).tiny).ravel()
+    first, second, third = rows.T
+    count = len(points)
+    at = np.stack([first * count + second, second * count + third, third * count + first])
+    sides: Floats = logs[at]
+    return sides
+
+
+def _extremes(sides: Floats) -> tuple[Floats, Floats]:
+    """Largest and smallest of three rows."""
+    first, second, third = sides
+    most: Floats = np.maximum(np.maximum(first, second), third)
+    least: Floats = np.minimum(np.minimum(first, second), third)
+    return most, least
+
+
+def _height_ratio(sides: Floats) -> Floats:
+    """Height (k,) of triangles whose longest side is 1, from their sides (3, k) by Heron."""
+    half = 0.5 * (sides[0] + sides[1] + sides[2])
+    squared = half * (half - sides[0]) * (half - sides[1]) * (half - sides[2])
+    height: Floats = 2.0 * np.sqrt(np.maximum(squared, 0.0))
+    return height
+
+
+def _plausible_pairs(
+    points_a: Floats, points_b: Floats, rows: Ints, config: AssociationConfig
 ) -> Mask:
-    step_a, step_b = a[:, 1] - a[:, 0], b[:, 1] - b[:, 0]
+    """Which pairs have the same horizontal and vertical distance in both maps."""
+    step_a, step_b = (p[rows[:, 1]] - p[rows[:, 0]] for p in (points_a, points_b))
     level_a, level_b = np.hypot(*step_a.T[:2]), np.hypot(*step_b.T[:2])
     allowed = config.max_side_disagreement * np.maximum(level_a, level_b)
     kept = level_a > config.min_side_ratio * _extent(points_a)
@@ -110,24 +152,10 @@ def _plausible_yaw(
     return stable
 
 
-def _sides(corners: Floats) -> Floats:
-    lengths: Floats = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    return lengths
-
-
-def _slimness(sides: Floats) -> Floats:
-    """Height of each triangle over its longest side, from its sides (Heron)."""
-    half = 0.5 * sides.sum(axis=1)
-    squared = half * np.prod(half[:, None] - sides, axis=1)
-    height: Floats = (
-        2.0 * np.sqrt(np.maximum(squared, 0.0)) / sides.max(axis=1, initial=1e-300) ** 2
-    )
-    return height
-
-
 def _extent(points: Floats) -> float:
     """Typical distance of the points from their middle."""
-    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+    typical = float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+    return max(typical, np.finfo(float).tiny)
 
 
 def _fit(a: Floats, b: Floats, gauge: Gauge) -> Models:
