@@ -34,7 +34,7 @@ from mapmerge_ros.fusion.requests import Denial
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.tracks import track_ids
 from mapmerge_ros.geometry import Similarity
-from mapmerge_ros.submap import SubMap
+from mapmerge_ros.submap import Request, SubMap
 
 NO_COMPONENT = -1
 
@@ -147,6 +147,11 @@ class FusionEngine:
         for item in fusion.alignments:
             if fusion.components and item.submap.map_id == fusion.components[0].anchor:
                 self._anchor = Anchor(item.submap.map_id, item.S_global_map)
+
+    def wish(self, requests: Iterable[Request]) -> None:
+        """Take what a fusion would have the robots asked for, as far as it still holds."""
+        newest = {submap.map_id: submap.revision for submap in self._store.snapshot()}
+        self.asking.wish(x for x in requests if newest.get(x.map_id) == x.revision)
 
     def fuse(self) -> Fusion:
         """Fuse what is there, in this thread."""
