@@ -51,6 +51,7 @@ setup(
     entry_points={
         'console_scripts': [
             'mapmerge = mapmerge_ros.cli.main:main',
+            'compressor_node = mapmerge_ros.nodes.compressor_node:main',
             'fusion_node = mapmerge_ros.nodes.fusion_node:main',
             'robot_node = mapmerge_ros.nodes.robot_node:main',
         ],

@@ -40,7 +40,7 @@ from mapmerge_ros.io.codec import serialise
 from mapmerge_ros.nodes import merge_loop, parameters
 from mapmerge_ros.nodes.fusion_node import FusionNode
 from mapmerge_ros.nodes.outgoing import covariance_of_parts
-from mapmerge_ros.nodes.worker import MergeWorker
+from mapmerge_ros.nodes.worker import Worker
 from mapmerge_ros.submap import Source, SubMap
 
 
@@ -478,7 +478,7 @@ def test_the_worker_runs_one_merge_at_a_time() -> None:
         assert gate.wait(10)
         return len(snapshot.submaps)
 
-    worker = MergeWorker(merge, woken.set)
+    worker = Worker(merge, woken.set)
     worker.start(Snapshot(()))
     assert worker.busy
     assert worker.take() is None
@@ -494,7 +494,7 @@ def test_the_worker_runs_one_merge_at_a_time() -> None:
 
 def test_a_closed_worker_wakes_nobody() -> None:
     gate, woken = threading.Event(), threading.Event()
-    worker = MergeWorker(lambda snapshot: gate.wait(10), woken.set)
+    worker = Worker(lambda snapshot: gate.wait(10), woken.set)
     worker.start(Snapshot(()))
     assert not worker.close(timeout_s=0.05)
     gate.set()

@@ -2,20 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bundles: a robot's own map, its linearisation and its compression."""
 
+from mapmerge_ros.bundle.answer import Answer, announce, answer, reannounce
 from mapmerge_ros.bundle.bundle import Bundle, FramePrior
 from mapmerge_ros.bundle.compress import MapName, Update, compress, eliminate, update
 from mapmerge_ros.bundle.elimination import Elimination
 from mapmerge_ros.bundle.linearise import Linearisation, linearise
 
 __all__ = [
+    'Answer',
     'Bundle',
     'Elimination',
     'FramePrior',
     'Linearisation',
     'MapName',
     'Update',
+    'announce',
+    'answer',
     'compress',
     'eliminate',
     'linearise',
+    'reannounce',
     'update',
 ]

@@ -100,7 +100,7 @@ def compress(
     shared_rows = bundle.rows_of(np.asarray(landmark_ids, np.uint64))
     private_rows = np.setdiff1d(np.arange(len(bundle.point_ids)), shared_rows)
     rows = np.concatenate([shared_rows, private_rows if catalogue else private_rows[:0]])
-    found = eliminate(lin, shared_rows, method) if len(shared_rows) else _NOTHING
+    found = eliminate(lin, shared_rows, method) if len(shared_rows) else _announced(lin)
     residual_count, dof = bundle.residual_count, bundle.dof
     # An announcement eliminates nothing: its residuals are taken as those of an optimum.
     cost_px2 = found.a**2 if len(shared_rows) else lin.cost_px2
@@ -129,9 +129,12 @@ def compress(
     )
 
 
-_NOTHING = Elimination(
-    0.0, np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0), np.zeros(0, np.int64)
-)
+def _announced(lin: Linearisation) -> Elimination:
+    """No landmark is left; the cost is that of the working point, whoever estimates σ from it."""
+    nothing, no_rows = np.zeros(0), np.zeros((0, 0))
+    return Elimination(
+        lin.cost_px2**0.5, no_rows, nothing, no_rows, nothing, np.zeros(0, np.int64)
+    )
 
 
 def into_map(bundle: Bundle, rows: Ints, found: Elimination, points_global: Floats) -> Similarity:

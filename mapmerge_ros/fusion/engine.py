@@ -9,12 +9,13 @@ arrived, and where the global frame is.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mapmerge_ros.fusion.accumulate import Receipt, Store, without_duplicates
+from mapmerge_ros.fusion.asking import Asking
 from mapmerge_ros.fusion.associate import associate_by_id, split_contradictions
 from mapmerge_ros.fusion.component import Anchor, Merged
 from mapmerge_ros.fusion.config import FusionConfig
@@ -29,10 +30,11 @@ from mapmerge_ros.fusion.outcome import (
     Timing,
 )
 from mapmerge_ros.fusion.overlap import Link, find_links
+from mapmerge_ros.fusion.requests import Denial
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.tracks import track_ids
 from mapmerge_ros.geometry import Similarity
-from mapmerge_ros.submap import SubMap
+from mapmerge_ros.submap import Request, SubMap
 
 NO_COMPONENT = -1
 
@@ -44,6 +46,8 @@ class Snapshot:
     submaps: tuple[SubMap, ...]
     anchor: Anchor | None = None
     revision: int = 1
+    denied: Mapping[str, Denial] = field(default_factory=dict)
+    """By map_id, how far its robot could not do what it was asked for"""
 
 
 def fuse(submaps: Iterable[SubMap] | Snapshot, config: FusionConfig | None = None) -> Fusion:
@@ -105,6 +109,7 @@ class FusionEngine:
         """`revision` is that of the last map that went out under this name."""
         self.config = config or FusionConfig()
         self._store = Store(self.config.map_id)
+        self.asking = Asking(self.config)
         self._anchor: Anchor | None = None
         self._revision = revision
         self.changed = False
@@ -113,12 +118,16 @@ class FusionEngine:
     def add(self, submap: SubMap) -> Receipt:
         """Take in a sub-map; a refusal says why and changes nothing."""
         receipt = self._store.add(submap)
-        self.changed |= receipt.accepted
+        if receipt.accepted:
+            self.changed = True
+            self.asking.hear(submap)
         return receipt
 
     def remove(self, map_ids: Iterable[str]) -> int:
         """Forget sub-maps; return how many were known."""
-        count = self._store.remove(map_ids)
+        names = tuple(map_ids)
+        count = self._store.remove(names)
+        self.asking.forget(names)
         self.changed |= count > 0
         return count
 
@@ -131,13 +140,18 @@ class FusionEngine:
         """Everything the next fusion depends on; it may run in another thread."""
         self.changed = False
         self._revision += 1
-        return Snapshot(self._store.snapshot(), self._anchor, self._revision)
+        return Snapshot(self._store.snapshot(), self._anchor, self._revision, self.asking.denied)
 
     def commit(self, fusion: Fusion) -> None:
         """Remember where the global frame is, so that it does not jump at the next merge."""
         for item in fusion.alignments:
             if fusion.components and item.submap.map_id == fusion.components[0].anchor:
                 self._anchor = Anchor(item.submap.map_id, item.S_global_map)
+
+    def wish(self, requests: Iterable[Request]) -> None:
+        """Take what a fusion would have the robots asked for, as far as it still holds."""
+        newest = {submap.map_id: submap.revision for submap in self._store.snapshot()}
+        self.asking.wish(x for x in requests if newest.get(x.map_id) == x.revision)
 
     def fuse(self) -> Fusion:
         """Fuse what is there, in this thread."""

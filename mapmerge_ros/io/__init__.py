@@ -3,8 +3,16 @@
 """Messages, recordings and COLMAP models: everything that enters or leaves as bytes or files."""
 
 from mapmerge_ros.io.bags import BagError, Recorded, Recording, read_submaps
+from mapmerge_ros.io.bundle_files import load_bundles
 from mapmerge_ros.io.bundle_messages import NamedBundle, bundle_from_message, bundle_to_message
-from mapmerge_ros.io.codec import decode_bundle, decode_submap, encode_bundle, encode_submap
+from mapmerge_ros.io.codec import (
+    decode_bundle,
+    decode_request,
+    decode_submap,
+    encode_bundle,
+    encode_request,
+    encode_submap,
+)
 from mapmerge_ros.io.colmap import MissingExtraError, load_colmap
 from mapmerge_ros.io.colmap_files import ModelError
 from mapmerge_ros.io.fields import MAX_MESSAGE_BYTES, Factory, InvalidMessage, class_factory
@@ -30,9 +38,12 @@ __all__ = [
     'class_factory',
     'create',
     'decode_bundle',
+    'decode_request',
     'decode_submap',
     'encode_bundle',
+    'encode_request',
     'encode_submap',
+    'load_bundles',
     'load_colmap',
     'read_submaps',
     'record',

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -68,7 +68,7 @@ class Recording:
             for path in self._paths:
                 reader = _open(path)
                 stack.callback(reader.close)
-                self._bags.append((path, reader, _submap_connections(path, reader)))
+                self._bags.append((path, reader, _connections(path, reader, SUBMAP)))
             self._stack = stack.pop_all()
         return self
 
@@ -105,6 +105,21 @@ def read_submaps(paths: Path | str | Sequence[Path | str]) -> Iterator[Recorded]
         yield from recording
 
 
+def read_raw(path: Path, typename: str) -> Iterator[bytes]:
+    """
+    Bytes of every message of one type in a bag, in time order.
+
+    Raises
+    ------
+    BagError
+        It cannot be read, or has no topic of this type.
+
+    """
+    with closing(_open(path)) as reader:
+        for _, _, raw in _messages(path, reader, _connections(path, reader, typename)):
+            yield raw
+
+
 def _open(path: Path) -> Reader:
     _check_kind(path)
     try:
@@ -139,13 +154,14 @@ def _damaged(path: Path, err: Exception) -> BagError:
     return BagError(f'{path}: truncated or damaged: {reason[:200]}')
 
 
-def _submap_connections(path: Path, reader: Reader) -> list[Connection]:
-    found = [topic for topic in reader.connections if topic.msgtype == SUBMAP]
+def _connections(path: Path, reader: Reader, typename: str) -> list[Connection]:
+    found = [topic for topic in reader.connections if topic.msgtype == typename]
     if not found:
         others = sorted({topic.msgtype for topic in reader.connections})
+        word = typename.rpartition('/')[2].lower()
         raise BagError(
-            f'{path}: no topic of type {SUBMAP}, only {", ".join(others) or "nothing"}: '
-            'record the submap topics'
+            f'{path}: no topic of type {typename}, only {", ".join(others) or "nothing"}: '
+            f'record the {word} topics'
         )
     for connection in found:
         if reason := foreign_definition(connection):
@@ -154,15 +170,20 @@ def _submap_connections(path: Path, reader: Reader) -> list[Connection]:
 
 
 def _stream(path: Path, reader: Reader, connections: list[Connection]) -> Iterator[Recorded]:
+    for connection, log_time_ns, raw in _messages(path, reader, connections):
+        yield _decoded(log_time_ns, connection.topic, raw)
+
+
+def _messages(path: Path, reader: Reader, connections: list[Connection]) -> Iterator[_Raw]:
     messages: Generator[_Raw, Any, None] = reader.messages(connections)
     while True:
         try:
-            connection, log_time_ns, raw = next(messages)
+            message = next(messages)
         except StopIteration:
             return
         except Exception as err:  # see _open
             raise _damaged(path, err) from err
-        yield _decoded(log_time_ns, connection.topic, raw)
+        yield message
 
 
 def _decoded(log_time_ns: int, topic: str, raw: bytes) -> Recorded:

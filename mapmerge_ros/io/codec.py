@@ -11,8 +11,9 @@ from rosbags.serde import SerdeError
 from mapmerge_ros.io.bundle_messages import NamedBundle, bundle_from_message, bundle_to_message
 from mapmerge_ros.io.fields import InvalidMessage, check_size, refusing
 from mapmerge_ros.io.messages import submap_from_message, submap_to_message
-from mapmerge_ros.io.typestore import BUNDLE, SUBMAP, create, typestore
-from mapmerge_ros.submap import SubMap
+from mapmerge_ros.io.request_messages import request_from_message, request_to_message
+from mapmerge_ros.io.typestore import BUNDLE, REQUEST, SUBMAP, create, typestore
+from mapmerge_ros.submap import Request, SubMap
 
 
 def serialise(message: Any) -> bytes:
@@ -73,3 +74,21 @@ def decode_bundle(raw: bytes | memoryview) -> NamedBundle:
 
     """
     return bundle_from_message(deserialise(raw, BUNDLE))
+
+
+def encode_request(request: Request, stamp_ns: int) -> bytes:
+    """Serialise a request made at this time."""
+    return serialise(request_to_message(request, stamp_ns, create))
+
+
+def decode_request(raw: bytes | memoryview) -> Request:
+    """
+    Request of its bytes, checked.
+
+    Raises
+    ------
+    InvalidMessage
+        What is wrong with them.
+
+    """
+    return request_from_message(deserialise(raw, REQUEST))

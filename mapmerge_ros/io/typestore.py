@@ -17,6 +17,7 @@ MSGS_VERSION: Final = '0.1.0'
 
 SUBMAP: Final = 'mapmerge_msgs/msg/SubMap'
 BUNDLE: Final = 'mapmerge_msgs/msg/Bundle'
+REQUEST: Final = 'mapmerge_msgs/msg/LandmarkRequest'
 
 _SEPARATOR = '=' * 80 + '\n'
 

@@ -14,7 +14,7 @@ from mapmerge_ros.fusion import Fusion, State
 from mapmerge_ros.nodes.ledger import Ledger
 from mapmerge_ros.nodes.merge_loop import MergeLoop, Product
 from mapmerge_ros.nodes.outgoing import Outgoing
-from mapmerge_ros.nodes.worker import MergeResult
+from mapmerge_ros.nodes.worker import Result
 
 
 class Answers:
@@ -34,7 +34,7 @@ class Answers:
         """Merge without waiting for the timer; messages are received meanwhile."""
         merged: Any = Future()
         self._merges.request(merged.set_result)
-        result: MergeResult[Product] = await merged
+        result: Result[Product] = await merged
         fusion = None if result.product is None else result.product.fusion
         response.result, response.message = _outcome(result.error, fusion)
         response.status = self._outgoing(fusion).status(self._ledger)

@@ -34,6 +34,10 @@ class Health:
     """Why the last merge failed; empty if it did not"""
     incompatible: tuple[str, ...]
     """Publishers that cannot reach the node"""
+    unanswered: int = 0
+    """Sub-maps that were asked for landmarks and have not answered"""
+    given_up: int = 0
+    """Of those, how many are not asked again"""
 
     def message(self, stamp: Any) -> Any:
         """DiagnosticArray: the node first, then each robot."""
@@ -51,6 +55,9 @@ class Health:
             'messages_refused': ledger.refused,
             'messages_ignored': ledger.ignored,
             'last_refusal': ledger.last_refusal,
+            'requests_sent': ledger.requests,
+            'requests_unanswered': self.unanswered,
+            'requests_given_up': self.given_up,
             'bytes_in': ledger.bytes_in,
             'bytes_out': ledger.bytes_out,
             'incompatible_publishers': '; '.join(self.incompatible),

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from mapmerge_msgs.msg import AlignmentArray, FusionStatus, SubMap
+from mapmerge_msgs.msg import AlignmentArray, FusionStatus, LandmarkRequest, SubMap
 from mapmerge_msgs.srv import MergeNow, RemoveMap
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
@@ -18,7 +18,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from mapmerge_ros.fusion import Fusion, FusionEngine
-from mapmerge_ros.io import InvalidMessage, decode_submap
+from mapmerge_ros.io import InvalidMessage, decode_submap, encode_request
 from mapmerge_ros.nodes.answers import Answers
 from mapmerge_ros.nodes.diagnostics import Health
 from mapmerge_ros.nodes.discovery import SubmapTopics
@@ -27,8 +27,8 @@ from mapmerge_ros.nodes.merge_loop import MergeLoop, Product
 from mapmerge_ros.nodes.outgoing import Outgoing
 from mapmerge_ros.nodes.parameters import declare_config, declare_settings
 from mapmerge_ros.nodes.process import run_node
-from mapmerge_ros.nodes.quality import LATCHED_PROFILE
-from mapmerge_ros.nodes.worker import MergeResult
+from mapmerge_ros.nodes.quality import LATCHED_PROFILE, REQUESTS_PROFILE
+from mapmerge_ros.nodes.worker import Result
 
 POLL_S = 1.0
 """How often to look for new topics, and to tell how one is."""
@@ -54,12 +54,13 @@ class FusionNode(Node):  # type: ignore[misc]
         )
         self._global_map = self.create_publisher(SubMap, '~/global_map', LATCHED_PROFILE)
         self._alignments = self.create_publisher(AlignmentArray, '~/alignments', LATCHED_PROFILE)
+        self._requests = self.create_publisher(LandmarkRequest, '~/requests', REQUESTS_PROFILE)
         self._status = self.create_publisher(FusionStatus, '~/status', LATCHED_PROFILE)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         own_topics = frozenset({self._global_map.topic_name})
         self.topics = SubmapTopics(self, settings, self._on_submap, own_topics)
         self._answer_services()
-        self.create_timer(settings.merge_period, self.merges.tick)
+        self.create_timer(settings.merge_period, self._on_tick)
         # Robots come and go in real time, whatever the clock of the node does.
         self.create_timer(POLL_S, self._on_poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.topics.poll()
@@ -96,16 +97,30 @@ class FusionNode(Node):  # type: ignore[misc]
         if not receipt.accepted:
             self.get_logger().debug(f'ignored: {submap.map_id}: {receipt.reason}')
 
+    def _on_tick(self) -> None:
+        self.merges.tick()
+        self._ask()
+
     def _on_wake(self) -> None:
         self.merges.finish()
 
-    def _on_merge(self, result: MergeResult[Product]) -> None:
+    def _on_merge(self, result: Result[Product]) -> None:
         self._error = result.error
         if result.product is None:
             self.get_logger().error(f'merge failed: {result.error}\n{result.trace}')
             return
         self.fusion, self._merged_ns = result.product.fusion, self.now_ns
         self._publish(result.product)
+        self._ask()
+
+    def _ask(self) -> None:
+        """Send the requests whose time has come."""
+        now_ns = self.now_ns
+        for request in self.merges.engine.asking.due(now_ns):
+            self._requests.publish(encode_request(request, now_ns))
+            self.ledger.requests += 1
+            count = len(request.landmark_ids)
+            self.get_logger().info(f'asked {request.map_id} for {count} landmarks')
 
     def _publish(self, product: Product) -> None:
         outgoing = self._outgoing(product.fusion)
@@ -134,6 +149,8 @@ class FusionNode(Node):  # type: ignore[misc]
             merged_ns=self._merged_ns,
             error=self._error,
             incompatible=self.topics.incompatible,
+            unanswered=self.merges.engine.asking.unanswered,
+            given_up=self.merges.engine.asking.given_up,
         )
         self._diagnostics.publish(health.message(self.get_clock().now().to_msg()))
 

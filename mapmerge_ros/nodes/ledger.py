@@ -50,6 +50,8 @@ class Ledger:
     """Of those received: no newer than what was there"""
     bytes_in: int = 0
     bytes_out: int = 0
+    requests: int = 0
+    """Sent to robots, repetitions included"""
     last_refusal: str = ''
     last_refusal_ns: int | None = None
     robots: dict[str, RobotRecord] = field(default_factory=dict)

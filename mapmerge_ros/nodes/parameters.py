@@ -113,6 +113,39 @@ CONFIG_SETTINGS = (
         CONFIG.catalogue,
         'Whether the global map carries the other landmarks, position and descriptor only.',
     ),
+    Setting(
+        'ask',
+        CONFIG.ask,
+        'Whether robots are asked to compress the landmarks that other sub-maps have too.',
+    ),
+    Setting(
+        'request_landmarks',
+        CONFIG.request_landmarks,
+        'Landmarks that one sub-map is asked for at most.',
+        3,
+        2700,
+    ),
+    Setting(
+        'request_bytes',
+        CONFIG.request_bytes,
+        'Largest message that a robot may answer with, its catalogue included; 0: no limit.',
+        -1,
+        128 * 2**20,
+    ),
+    Setting(
+        'request_coverage',
+        CONFIG.request_coverage,
+        'Share of what a pair of sub-maps could have in common that is enough not to ask again.',
+        0.01,
+        1.0,
+    ),
+    Setting(
+        'request_period',
+        CONFIG.request_period,
+        'Seconds of node time until a request without an answer is repeated; then doubled.',
+        0.01,
+        3600.0,
+    ),
 )
 
 

@@ -53,6 +53,14 @@ LATCHED_PROFILE = Quality().profile(depth=1)
 """Of what the node publishes: whoever comes late gets the latest."""
 
 
+REQUESTS_PROFILE = Quality().profile(depth=1000)
+"""
+Of requests: whoever comes late gets what it was asked for, as far back as memory may reach.
+
+Keep-all would grow without end for latecomers; a request has 2.5 kB, and is about one sub-map.
+"""
+
+
 def demand(offers: Iterable[Quality], settings: NodeSettings) -> Quality:
     """
     Quality to demand of publishers that offer these.

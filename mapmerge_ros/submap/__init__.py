@@ -3,6 +3,8 @@
 """Compressed sub-maps: immutable values."""
 
 from mapmerge_ros.submap.descriptors import Descriptors, DescriptorType
+from mapmerge_ros.submap.request import Request
+from mapmerge_ros.submap.size import catalogue_bytes, information_bytes, most_landmarks
 from mapmerge_ros.submap.submap import (
     Source,
     SubMap,
@@ -23,11 +25,15 @@ from mapmerge_ros.submap.triangle import (
 __all__ = [
     'DescriptorType',
     'Descriptors',
+    'Request',
     'Source',
     'SubMap',
     'alignment_weights',
+    'catalogue_bytes',
     'factor_information',
     'factor_root',
+    'information_bytes',
+    'most_landmarks',
     'pack',
     'packed_size',
     'symmetric_from_upper',

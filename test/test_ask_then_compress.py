@@ -1,0 +1,202 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Robots announce, the fusion node asks, the robots compress: real nodes on real topics."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_processes import FUSION, REMEDY, Observer, observing, spin_for, spin_until
+
+from mapmerge_ros.bundle import compress
+from mapmerge_ros.cli.processes import Children, free_domain
+from mapmerge_ros.fusion import FusionConfig, fuse
+from mapmerge_ros.geometry import align
+from mapmerge_ros.io import NamedBundle, decode_submap, encode_bundle, encode_request, record
+from mapmerge_ros.io.typestore import BUNDLE
+from mapmerge_ros.nodes.quality import LATCHED_PROFILE, REQUESTS_PROFILE
+from mapmerge_ros.simulation import Fleet, FleetConfig, simulate_fleet
+from mapmerge_ros.submap import Request
+
+pytest.importorskip('rclpy', reason=REMEDY)
+pytest.importorskip('pycolmap', reason='pycolmap is missing to simulate bundles')
+
+ROBOT = 'mapmerge_ros.nodes.compressor_node'
+DRONES = 3
+
+
+@pytest.fixture(scope='module')
+def fleet() -> Fleet:
+    return simulate_fleet(FleetConfig(drones=DRONES, landmarks=120), seed=3)
+
+
+@pytest.fixture(scope='module')
+def bundles(fleet: Fleet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording with the bundle of every drone."""
+    path = tmp_path_factory.mktemp('bundles') / 'bundles.mcap'
+    with record(path) as recorder:
+        for bundle, name in zip(fleet.bundles, fleet.names, strict=True):
+            named = NamedBundle(name, bundle, (0,) * len(bundle.keyframe_ids))
+            topic = f'/{name.robot_id}/bundle'
+            recorder.write_bytes(topic, name.stamp_ns, BUNDLE, encode_bundle(named))
+    return path
+
+
+@pytest.fixture
+def children(tmp_path: Path) -> Iterator[Children]:
+    with Children(free_domain(), tmp_path / 'logs') as started:
+        yield started
+
+
+@pytest.fixture
+def observer(children: Children) -> Iterator[Observer]:
+    with observing(children.domain) as node:
+        yield node
+
+
+def start_robot(children: Children, bundles: Path, robot_id: str) -> Any:
+    values = {'bundle': str(bundles), 'robot_id': robot_id}
+    return children.start(robot_id, ROBOT, values, {'submap': f'/{robot_id}/submap'})
+
+
+def wait_for_log(observer: Observer, children: Children, name: str, words: str) -> None:
+    log = children.log(name)
+    spin_until([observer], lambda: words in log.read_text(), f'{name}: {words}')
+
+
+def merged(observer: Observer) -> int:
+    heard = observer.heard
+    return heard.status.merged if heard.is_complete else 0
+
+
+def revisions(observer: Observer) -> dict[str, int]:
+    return {x.map_id: x.revision for x in observer.heard.alignments.alignments}
+
+
+def sent(observer: Observer) -> int:
+    return int(observer.node_values['requests_sent'])
+
+
+def test_robots_announce_then_compress_what_a_late_node_asks_for(
+    children: Children, observer: Observer, bundles: Path, fleet: Fleet
+) -> None:
+    robots = [name.robot_id for name in fleet.names]
+    processes = [start_robot(children, bundles, robot_id) for robot_id in robots]
+    for robot_id in robots:
+        wait_for_log(observer, children, robot_id, 'announced')
+    children.start('fusion', FUSION, {'merge_period': 0.3, 'request_landmarks': 40})
+    spin_until([observer], lambda: merged(observer) == DRONES, 'all merged')
+    spin_for([observer], 2.5)
+    asked = sent(observer)
+    # One that was asked before the node had heard of all may be asked for something else.
+    assert DRONES <= asked <= 2 * DRONES
+    spin_for([observer], 2.5)
+    assert sent(observer) == asked, 'nobody is asked again'
+    assert observer.node_values['requests_unanswered'] == '0'
+    assert observer.heard.status.accepted
+    assert_map_is_true(observer, fleet)
+
+    before = revisions(observer)
+    processes[0].send_signal(signal.SIGINT)
+    assert processes[0].wait(10) == 0
+    again = start_robot(children, bundles, robots[0])
+    spin_until(
+        [observer],
+        lambda: (
+            revisions(observer)[fleet.names[0].map_id] > before[fleet.names[0].map_id]
+            and merged(observer) == DRONES
+        ),
+        'a robot that comes back under its name is asked, and merged again',
+    )
+    assert_map_is_true(observer, fleet)
+    spin_for([observer], 2.5)
+    assert sent(observer) == asked + 1, 'the others have what it needs'
+    assert again.poll() is None
+    assert children.ended() == ''
+    assert set(children.stop().values()) == {0}
+
+
+def assert_map_is_true(observer: Observer, fleet: Fleet) -> None:
+    """As near to the truth as the merge of the very same landmarks without any topics."""
+    found = observer.heard.global_map
+    assert found is not None
+    ids = found.compressed_ids
+    direct = fuse(
+        [
+            compress(bundle, name, ids[np.isin(ids, bundle.point_ids)])
+            for bundle, name in zip(fleet.bundles, fleet.names, strict=True)
+        ],
+        FusionConfig(),
+    ).global_map
+    assert direct is not None
+    for submap in (found, direct):
+        truth = fleet.truth.points_world(submap.compressed_ids)
+        S_world_global = align(truth, submap.compressed_points).S_target_source
+        errors = np.linalg.norm(S_world_global.apply(submap.compressed_points) - truth, axis=1)
+        assert np.median(errors) < 0.1
+
+
+def test_bad_requests_disturb_nothing(
+    children: Children, observer: Observer, bundles: Path, fleet: Fleet
+) -> None:
+    from mapmerge_msgs.msg import LandmarkRequest, SubMap
+
+    name, bundle = fleet.names[0], fleet.bundles[0]
+    start_robot(children, bundles, name.robot_id)
+    wait_for_log(observer, children, name.robot_id, 'announced')
+    requests = observer.create_publisher(
+        LandmarkRequest, '/fusion_node/requests', REQUESTS_PROFILE
+    )
+    spin_until([observer], requests.get_subscription_count, 'the robot listens')
+    announced: list[Any] = []
+    observer.create_subscription(
+        SubMap,
+        f'/{name.robot_id}/submap',
+        lambda raw: announced.append(decode_submap(raw)),
+        LATCHED_PROFILE,
+        raw=True,
+    )
+    spin_until([observer], lambda: announced, 'the announcement')
+    revision = announced[0].revision
+
+    def ask(ids: Any, **changes: Any) -> None:
+        values = {'map_id': name.map_id, 'robot_id': name.robot_id, 'revision': revision}
+        request = Request(**{**values, 'landmark_ids': np.asarray(ids, np.uint64), **changes})
+        requests.publish(encode_request(request, 0))
+
+    good = bundle.point_ids[:20]
+    requests.publish(LandmarkRequest(map_id=name.map_id, robot_id=name.robot_id))
+    requests.publish(b'\0\1\0\0nonsense')
+    ask(good, map_id='nobody/0001')
+    ask(good, robot_id='nobody')
+    ask(good, revision=revision - 1)
+    ask([2**60, 2**60 + 1, 2**60 + 2, 2**60 + 3])
+    ask(good[:2])
+    wait_for_log(observer, children, name.robot_id, 'too few')
+    spin_for([observer], 0.5)
+    assert [submap.compressed_count for submap in announced] == [0]
+
+    ask([*good, 2**60])
+    spin_until([observer], lambda: len(announced) == 2, 'the good one is answered')
+    np.testing.assert_array_equal(announced[1].compressed_ids, good)
+    assert announced[1].revision == revision + 1
+    ask([*good, 2**60])
+    spin_until([observer], lambda: len(announced) == 3, 'and repeated as it was')
+    assert announced[2].revision == revision + 1
+    log = children.log(name.robot_id).read_text()
+    for words in ('nothing is asked for', "'nobody'", 'unknown landmarks', 'bytes are not'):
+        assert words in log, log
+    assert children.ended() == ''
+
+
+def test_a_robot_without_a_bundle_says_so(children: Children, observer: Observer) -> None:
+    process = children.start('robot', ROBOT, {'bundle': '/nowhere/model.mcap'})
+    spin_until([observer], lambda: process.poll() is not None, 'it ends')
+    assert process.returncode == 1
+    assert '/nowhere/model.mcap' in children.log('robot').read_text()
+    assert 'Traceback' not in children.log('robot').read_text()
