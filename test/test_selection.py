@@ -5,7 +5,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scenes import random_bundle
 
 from mapmerge_ros.bundle.quality import TrackQuality, good_tracks, track_variances
