@@ -6,6 +6,8 @@ from mapmerge_ros.bundle.answer import Answer, announce, answer, reannounce
 from mapmerge_ros.bundle.bundle import Bundle, FramePrior
 from mapmerge_ros.bundle.compress import MapName, Update, compress, eliminate, update
 from mapmerge_ros.bundle.elimination import Elimination
+from mapmerge_ros.bundle.lens import Lens
+from mapmerge_ros.bundle.lens_prior import with_lens_prior
 from mapmerge_ros.bundle.linearise import Linearisation, linearise
 
 __all__ = [
@@ -13,6 +15,7 @@ __all__ = [
     'Bundle',
     'Elimination',
     'FramePrior',
+    'Lens',
     'Linearisation',
     'MapName',
     'Update',
@@ -23,4 +26,5 @@ __all__ = [
     'linearise',
     'reannounce',
     'update',
+    'with_lens_prior',
 ]
