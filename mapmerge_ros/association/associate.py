@@ -11,12 +11,14 @@ from itertools import combinations
 import numpy as np
 
 from mapmerge_ros.arrays import Ints
+from mapmerge_ros.association.by_id import number_by_id
 from mapmerge_ros.association.config import AssociationConfig
 from mapmerge_ros.association.consensus import greedy_tracks, transitive
 from mapmerge_ros.association.landmarks import Landmarks
 from mapmerge_ros.association.memory import Memory, Named
 from mapmerge_ros.association.network import Network, close_loops
 from mapmerge_ros.association.pair import Decision, PairMatch
+from mapmerge_ros.association.screening import worth_matching
 from mapmerge_ros.association.second_look import Links, second_look
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import DescriptorType, SubMap
@@ -24,11 +26,12 @@ from mapmerge_ros.submap import DescriptorType, SubMap
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correspondences:
-    """Which landmarks of which sub-maps are one point, the whole catalogue included."""
+    """Which landmarks of which sub-maps are one point, their catalogues included."""
 
     tracks: tuple[Ints, ...]
     """Per sub-map the track (n_k,) of each landmark, in the order of its message"""
     count: int
+    """Tracks have numbers below it; not all are in use"""
     matches: dict[tuple[int, int], PairMatch]
     """Every pair that was looked at, by index; what came of it and why"""
 
@@ -39,18 +42,18 @@ def associate(
     memory: Memory | None = None,
 ) -> Correspondences:
     """
-    Match sub-maps by descriptors and geometry; ids play no part.
+    Find common landmarks by id within an id space, by descriptors and geometry elsewhere.
 
     The result does not depend on the order of the sub-maps. `memory` keeps what was found about
     pairs, so that a new sub-map is matched against the others and nothing else is done again.
     """
     config, memory = config or AssociationConfig(), memory or Memory()
     maps = tuple(submaps)
+    known, count = number_by_id(maps, [submap.landmark_ids for submap in maps])
     named = [Named(submap) for submap in maps]
     memory.turn()
     matches = {
-        (a, b): memory.match(named[a], named[b], config)
-        for a, b in combinations(range(len(maps)), 2)
+        (a, b): memory.match(named[a], named[b], config) for a, b in _pairs(named, memory, config)
     }
     network = close_loops(maps, matches)
     marks = [Landmarks.of(submap) for submap in maps]
@@ -59,17 +62,34 @@ def associate(
         for pair, match in network.matches.items()
         if match.decision is Decision.JOINED
     }
-    sizes = [len(own) for own in marks]
-    tracks = greedy_tracks(sizes, links)
+    by_rank = [own[one.order] for own, one in zip(known, named, strict=True)]
+    tracks = greedy_tracks(by_rank, links)
     composed = _composed(marks, network, tracks, config)
     if composed:
-        tracks = greedy_tracks(sizes, {**links, **composed})
-    count = max((int(own.max()) + 1 for own in tracks), default=0)
+        tracks = greedy_tracks(by_rank, {**links, **composed})
     return Correspondences(
-        tuple(_in_message_order(own, mark) for own, mark in zip(tracks, marks, strict=True)),
+        tuple(own[one.ranks] for own, one in zip(tracks, named, strict=True)),
         count,
         network.matches,
     )
+
+
+def _pairs(
+    named: Sequence[Named], memory: Memory, config: AssociationConfig
+) -> list[tuple[int, int]]:
+    """Pairs worth matching: descriptors to compare, and no ids that say it all."""
+    described = [
+        k for k, one in enumerate(named) if one.submap.descriptors.type is not DescriptorType.NONE
+    ]
+    if len(described) > config.screen_above:
+        signatures = [memory.signature(named[k], config) for k in described]
+        pairs = worth_matching(signatures, config)
+    else:
+        pairs = tuple(combinations(range(len(described)), 2))
+    spaces = [named[k].submap.id_space for k in described]
+    return [
+        (described[i], described[j]) for i, j in pairs if not spaces[i] or spaces[i] != spaces[j]
+    ]
 
 
 def _looked_again(
@@ -117,9 +137,3 @@ def _sure(links: Links, mark: Landmarks, config: AssociationConfig) -> Links:
     """Links with a posterior that is high enough for this kind of descriptor."""
     sift = mark.descriptors.type is DescriptorType.SIFT
     return links.above(config.min_posterior_sift if sift else config.min_posterior_binary)
-
-
-def _in_message_order(tracks: Ints, mark: Landmarks) -> Ints:
-    ordered = np.empty_like(tracks)
-    ordered[mark.rows] = tracks
-    return ordered

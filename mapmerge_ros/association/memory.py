@@ -15,6 +15,7 @@ from mapmerge_ros.association.align_pair import match_pair
 from mapmerge_ros.association.config import AssociationConfig
 from mapmerge_ros.association.pair import PairMatch
 from mapmerge_ros.association.second_look import Links
+from mapmerge_ros.association.signature import Signature, signature
 from mapmerge_ros.submap import SubMap
 
 Key = tuple[bytes, bytes]
@@ -31,6 +32,8 @@ class Memory:
     def __init__(self) -> None:
         self._kept: dict[Key, PairMatch] = {}
         self._used: dict[Key, PairMatch] = {}
+        self._kept_signatures: dict[bytes, Signature] = {}
+        self._used_signatures: dict[bytes, Signature] = {}
         self._kept_links: dict[Key, Links] = {}
         self._used_links: dict[Key, Links] = {}
 
@@ -38,6 +41,15 @@ class Memory:
         """Begin an association: forget what the one before did not use."""
         self._kept, self._used = self._used, {}
         self._kept_links, self._used_links = self._used_links, {}
+        self._kept_signatures, self._used_signatures = self._used_signatures, {}
+
+    def signature(self, a: Named, config: AssociationConfig) -> Signature:
+        """Return what screening knows of a map, from memory if there."""
+        found = self._kept_signatures.get(a.key)
+        self._used_signatures[a.key] = (
+            found if found is not None else signature(a.submap.descriptors[a.order], config)
+        )
+        return self._used_signatures[a.key]
 
     def match(self, a: Named, b: Named, config: AssociationConfig) -> PairMatch:
         """Return `match_pair`, from memory if there."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmerge_ros.arrays import Ids, Ints
-from mapmerge_ros.fusion.associate import number_by_id
+from mapmerge_ros.association import number_by_id
 from mapmerge_ros.submap import SubMap
 
 ALONE = -1
