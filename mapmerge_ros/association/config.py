@@ -96,12 +96,12 @@ class AssociationConfig:
 
     min_transitive: int = 6
     """Landmarks that other maps say are common before a pair is looked at that no match joined."""
-    min_posterior_sift: float = 0.045
+    min_posterior_sift: float = 0.03
     """
     Of a link, from appearance and position.
 
     How alike partners look is learnt from first matches that had to stand out; for SIFT that
     leaves out so many right ones that the posterior of the others comes out too low.
     """
-    min_posterior_binary: float = 0.8
+    min_posterior_binary: float = 0.6
     """Of 384 bits in a room, 8 of 10 such links are right by id, and nearly all by geometry."""

@@ -23,11 +23,11 @@ from mapmerge_ros.geometry import align_robustly
 
 MEDIAN_CHI2_3 = 2.366
 """Median of χ² with three degrees of freedom."""
-TAILS = 4.0
+TAILS = 3.0
 """Degrees of freedom of Student's t: narrow gates cost recall on real maps, which are bent."""
 GATE = 10.0
 """Standard deviations within which other landmarks compete."""
-CROWD = 3.0
+CROWD = 2.5
 """Standard deviations within which other landmarks are counted: more would leave the surface."""
 NEIGHBOURS = 12
 """Landmarks of the other map that are looked at around each."""
