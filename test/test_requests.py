@@ -252,3 +252,13 @@ def test_what_is_removed_is_forgotten() -> None:
     assert [x.map_id for x in asking.due(10 * S)] == ['b']
     asking.wish([])
     assert asking.unanswered == 0
+
+
+def test_a_wish_about_what_has_changed_meanwhile_is_dropped_but_remembered() -> None:
+    asking = Asking(CONFIG)
+    for revision in range(1, 30):
+        asking.wish([ask(range(10), revision), ask(range(10), revision, 'gone')], {'a': revision})
+        asking.due(0)
+        asking.wish([ask(range(10), revision)], {'a': revision + 1})
+        assert asking.due(1) == ()
+    assert asking.given_up == 1
