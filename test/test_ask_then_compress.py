@@ -14,11 +14,11 @@ import pytest
 from ros_processes import FUSION, REMEDY, Observer, observing, spin_for, spin_until
 
 from mapmerge_ros.bundle import compress
+from mapmerge_ros.cli.main import main
 from mapmerge_ros.cli.processes import Children, free_domain
 from mapmerge_ros.fusion import FusionConfig, fuse
 from mapmerge_ros.geometry import align
-from mapmerge_ros.io import NamedBundle, decode_submap, encode_bundle, encode_request, record
-from mapmerge_ros.io.typestore import BUNDLE
+from mapmerge_ros.io import decode_submap, encode_request
 from mapmerge_ros.nodes.quality import LATCHED_PROFILE, REQUESTS_PROFILE
 from mapmerge_ros.simulation import Fleet, FleetConfig, simulate_fleet
 from mapmerge_ros.submap import Request
@@ -27,23 +27,20 @@ pytest.importorskip('rclpy', reason=REMEDY)
 pytest.importorskip('pycolmap', reason='pycolmap is missing to simulate bundles')
 
 ROBOT = 'mapmerge_ros.nodes.compressor_node'
-DRONES = 3
+DRONES, LANDMARKS, SEED = 3, 120, 3
 
 
 @pytest.fixture(scope='module')
 def fleet() -> Fleet:
-    return simulate_fleet(FleetConfig(drones=DRONES, landmarks=120), seed=3)
+    return simulate_fleet(FleetConfig(drones=DRONES, landmarks=LANDMARKS), seed=SEED)
 
 
 @pytest.fixture(scope='module')
-def bundles(fleet: Fleet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bundles(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording with the bundle of every drone."""
     path = tmp_path_factory.mktemp('bundles') / 'bundles.mcap'
-    with record(path) as recorder:
-        for bundle, name in zip(fleet.bundles, fleet.names, strict=True):
-            named = NamedBundle(name, bundle, (0,) * len(bundle.keyframe_ids))
-            topic = f'/{name.robot_id}/bundle'
-            recorder.write_bytes(topic, name.stamp_ns, BUNDLE, encode_bundle(named))
+    scene = ['--drones', str(DRONES), '--landmarks', str(LANDMARKS), '--seed', str(SEED)]
+    assert main(['simulate', str(path), *scene, '--bundles']) == 0
     return path
 
 
