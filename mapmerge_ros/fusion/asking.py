@@ -14,12 +14,13 @@ from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.requests import Denial
 from mapmerge_ros.submap import Request, SubMap
 
-MAX_TRIES = 5
+MAX_TRIES = 8
 """
 Times the same request is sent, each pause twice as long as the one before.
 
-With the default of 10 s the last one goes out after two and a half minutes. Requests are
-latched: a robot that comes into reach later gets the last one all the same.
+With the default of 10 s the last one goes out after 21 minutes; where every second message is
+lost, one robot in 250 stays unasked. Requests are latched: a robot that comes into reach later
+gets the last one all the same.
 """
 
 NOVELTY = 0.2
