@@ -116,11 +116,12 @@ def test_requests_to_another_life_of_the_robot() -> None:
     assert own.respond(replace(asked, revision=5000)) is Response.REANNOUNCE
     job = own.job(replace(asked, revision=100))
     own.reannounce(5000)
-    assert own.announced.revision == 5001
-    assert own.announced.sources[0].revision == 5001
+    revision = own.announced.revision
+    assert revision > 5001, 'the request may have been answered'
+    assert own.announced.sources[0].revision == revision
     assert not own.finish(work(job)), 'it was about the old announcement'
     assert own.respond(replace(asked, revision=5000)) is Response.OUTDATED
-    assert own.respond(replace(asked, revision=5001)) is Response.COMPRESS
+    assert own.respond(replace(asked, revision=revision)) is Response.COMPRESS
 
 
 def test_what_cannot_be_done_leaves_the_last_revision() -> None:

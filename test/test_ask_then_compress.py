@@ -5,45 +5,51 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from ros_processes import FUSION, REMEDY, Observer, observing, spin_for, spin_until
+from ros_processes import (
+    FUSION,
+    REMEDY,
+    Observer,
+    SubMapMessage,
+    observing,
+    spin_for,
+    spin_until,
+)
 
 from mapmerge_ros.bundle import compress
+from mapmerge_ros.cli.main import main
 from mapmerge_ros.cli.processes import Children, free_domain
 from mapmerge_ros.fusion import FusionConfig, fuse
 from mapmerge_ros.geometry import align
-from mapmerge_ros.io import NamedBundle, decode_submap, encode_bundle, encode_request, record
-from mapmerge_ros.io.typestore import BUNDLE
+from mapmerge_ros.io import decode_submap, encode_request
 from mapmerge_ros.nodes.quality import LATCHED_PROFILE, REQUESTS_PROFILE
 from mapmerge_ros.simulation import Fleet, FleetConfig, simulate_fleet
-from mapmerge_ros.submap import Request
+from mapmerge_ros.submap import Request, SubMap
 
-pytest.importorskip('rclpy', reason=REMEDY)
 pytest.importorskip('pycolmap', reason='pycolmap is missing to simulate bundles')
+LandmarkRequest = pytest.importorskip('mapmerge_msgs.msg', reason=REMEDY).LandmarkRequest
 
 ROBOT = 'mapmerge_ros.nodes.compressor_node'
-DRONES = 3
+DRONES, LANDMARKS, SEED = 3, 120, 3
 
 
 @pytest.fixture(scope='module')
 def fleet() -> Fleet:
-    return simulate_fleet(FleetConfig(drones=DRONES, landmarks=120), seed=3)
+    return simulate_fleet(FleetConfig(drones=DRONES, landmarks=LANDMARKS), seed=SEED)
 
 
 @pytest.fixture(scope='module')
-def bundles(fleet: Fleet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bundles(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording with the bundle of every drone."""
     path = tmp_path_factory.mktemp('bundles') / 'bundles.mcap'
-    with record(path) as recorder:
-        for bundle, name in zip(fleet.bundles, fleet.names, strict=True):
-            named = NamedBundle(name, bundle, (0,) * len(bundle.keyframe_ids))
-            topic = f'/{name.robot_id}/bundle'
-            recorder.write_bytes(topic, name.stamp_ns, BUNDLE, encode_bundle(named))
+    scene = ['--drones', str(DRONES), '--landmarks', str(LANDMARKS), '--seed', str(SEED)]
+    assert main(['simulate', str(path), *scene, '--bundles']) == 0
     return path
 
 
@@ -144,8 +150,6 @@ def assert_map_is_true(observer: Observer, fleet: Fleet) -> None:
 def test_bad_requests_disturb_nothing(
     children: Children, observer: Observer, bundles: Path, fleet: Fleet
 ) -> None:
-    from mapmerge_msgs.msg import LandmarkRequest, SubMap
-
     name, bundle = fleet.names[0], fleet.bundles[0]
     start_robot(children, bundles, name.robot_id)
     wait_for_log(observer, children, name.robot_id, 'announced')
@@ -153,14 +157,7 @@ def test_bad_requests_disturb_nothing(
         LandmarkRequest, '/fusion_node/requests', REQUESTS_PROFILE
     )
     spin_until([observer], requests.get_subscription_count, 'the robot listens')
-    announced: list[Any] = []
-    observer.create_subscription(
-        SubMap,
-        f'/{name.robot_id}/submap',
-        lambda raw: announced.append(decode_submap(raw)),
-        LATCHED_PROFILE,
-        raw=True,
-    )
+    announced = submaps_of(observer, name.robot_id)
     spin_until([observer], lambda: announced, 'the announcement')
     revision = announced[0].revision
 
@@ -192,6 +189,35 @@ def test_bad_requests_disturb_nothing(
     for words in ('nothing is asked for', "'nobody'", 'unknown landmarks', 'bytes are not'):
         assert words in log, log
     assert children.ended() == ''
+
+
+def test_a_robot_whose_clock_was_set_back_learns_how_far_it_was(
+    children: Children, observer: Observer, bundles: Path, fleet: Fleet
+) -> None:
+    """The fusion side would take nothing older; its last request is still there."""
+    name, far = fleet.names[0], int(time.time()) + 1_000_000
+    requests = observer.create_publisher(
+        LandmarkRequest, '/fusion_node/requests', REQUESTS_PROFILE
+    )
+    asked = Request(name.map_id, name.robot_id, far, fleet.bundles[0].point_ids[:20])
+    requests.publish(encode_request(asked, 0))
+    heard = submaps_of(observer, name.robot_id)
+    start_robot(children, bundles, name.robot_id)
+    spin_until([observer], lambda: heard and heard[-1].revision > far + 1, 'a later revision')
+    assert heard[-1].compressed_count == 0
+
+
+def submaps_of(observer: Observer, robot_id: str) -> list[SubMap]:
+    """Sub-maps of a robot, filled while the observer is spun."""
+    heard: list[SubMap] = []
+    observer.create_subscription(
+        SubMapMessage,
+        f'/{robot_id}/submap',
+        lambda raw: heard.append(decode_submap(raw)),
+        LATCHED_PROFILE,
+        raw=True,
+    )
+    return heard
 
 
 def test_a_robot_without_a_bundle_says_so(children: Children, observer: Observer) -> None:

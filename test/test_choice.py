@@ -5,15 +5,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from catalogues import SCENE, catalogue, within
+from scenes import random_bundle
 from scipy.spatial import cKDTree
 
 from mapmerge_ros.arrays import Ids
+from mapmerge_ros.bundle import MapName, announce
+from mapmerge_ros.fusion import FusionConfig
 from mapmerge_ros.fusion.catalogues import ALONE, Tracks, tracks_by_id
 from mapmerge_ros.fusion.choice import choose_landmarks
+from mapmerge_ros.fusion.offline import choose_for_bundles
+from mapmerge_ros.fusion.requests import plan_requests
 from mapmerge_ros.submap import SubMap
 
 
@@ -90,8 +96,6 @@ def test_no_order_and_no_numbering_leaves_a_trace(seed: int) -> None:
 
 def catalogue_like(submap: SubMap, rows: Ids) -> SubMap:
     """The same catalogue, its landmarks in another order."""
-    from dataclasses import replace
-
     assert submap.covariances is not None
     return replace(
         submap,
@@ -191,3 +195,16 @@ def test_a_track_with_two_members_in_one_map_counts_once() -> None:
     twice = np.where(own == 1, 0, own)
     chosen = choose_landmarks(fleet, Tracks((twice, own), 10), [100, 100])
     assert set(chosen[0]) == set(chosen[1]) == set(range(10)) - {1}
+
+
+def test_bundles_are_asked_as_robots_are() -> None:
+    bundles = [random_bundle(seed, points=40) for seed in range(3)]
+    names = [MapName(f'd{k}/1', f'd{k}', id_space='site') for k in range(3)]
+    chosen = choose_for_bundles(bundles, names, 12)
+    announced = [announce(bundle, name) for bundle, name in zip(bundles, names, strict=True)]
+    requests = plan_requests(
+        announced, tracks_by_id(announced), FusionConfig(request_landmarks=12)
+    )
+    for request, ids in zip(requests, chosen, strict=True):
+        assert len(ids) == 12
+        np.testing.assert_array_equal(request.landmark_ids, ids)

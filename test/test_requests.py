@@ -168,8 +168,8 @@ def ask(ids: Any, revision: int = 1, name: str = 'a') -> Request:
 def test_a_lost_request_is_repeated_more_and_more_seldom_and_then_no_more() -> None:
     asking = Asking(CONFIG)
     asking.wish([ask(range(10))])
-    sent = [t for t in range(0, 2000) if asking.due(t * S)]
-    assert sent == [0, 10, 30, 70, 150]
+    sent = [t for t in range(0, 4000) if asking.due(t * S)]
+    assert sent == [0, 10, 30, 70, 150, 310, 630, 1270]
     assert len(sent) == MAX_TRIES
     assert (asking.unanswered, asking.given_up) == (1, 1)
     asking.wish([ask(range(10))])
@@ -252,3 +252,13 @@ def test_what_is_removed_is_forgotten() -> None:
     assert [x.map_id for x in asking.due(10 * S)] == ['b']
     asking.wish([])
     assert asking.unanswered == 0
+
+
+def test_a_wish_about_what_has_changed_meanwhile_is_dropped_but_remembered() -> None:
+    asking = Asking(CONFIG)
+    for revision in range(1, 30):
+        asking.wish([ask(range(10), revision), ask(range(10), revision, 'gone')], {'a': revision})
+        asking.due(0)
+        asking.wish([ask(range(10), revision)], {'a': revision + 1})
+        assert asking.due(1) == ()
+    assert asking.given_up == 1

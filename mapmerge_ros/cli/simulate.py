@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +14,9 @@ import numpy as np
 from mapmerge_ros.cli import console, options
 from mapmerge_ros.cli.options import Subparsers
 from mapmerge_ros.cli.outputs import check_file, ros_name
-from mapmerge_ros.io import replacing, write_submaps
+from mapmerge_ros.io import McapRecorder, NamedBundle, encode_bundle, record, replacing
 from mapmerge_ros.io.truth import RecordingTruth, TrueMap, TrueMove, truth_json, truth_path
+from mapmerge_ros.io.typestore import BUNDLE
 from mapmerge_ros.io.wording import counted, readable_bytes
 from mapmerge_ros.simulation import Fleet, FleetConfig, Sensing, simulate_fleet
 from mapmerge_ros.submap import SubMap
@@ -68,6 +70,11 @@ def add_parser(subparsers: Subparsers) -> None:
     )
     add('--no-descriptors', action='store_true', help='landmarks without descriptors')
     add('--no-catalogue', action='store_true', help='leave out what is not compressed')
+    add(
+        '--bundles',
+        action='store_true',
+        help='record the bundle of each drone too, for compressor_node',
+    )
     parser.set_defaults(run=run)
 
 
@@ -91,13 +98,15 @@ def run(args: argparse.Namespace) -> int:
     # Nested, so that neither of the two appears without the other.
     with replacing(truth_file) as stream:
         stream.write(truth_json(recording_truth(fleet)))
-        size_bytes = write_submaps(
-            args.out,
-            (
-                (f'/{ros_name(submap.robot_id)}/submap', submap.stamp_ns, submap)
+        with record(args.out) as recorder:
+            size_bytes = sum(
+                recorder.write_submap(
+                    f'/{ros_name(submap.robot_id)}/submap', submap.stamp_ns, submap
+                )
                 for submap in submaps
-            ),
-        )
+            )
+            if args.bundles:
+                _record_bundles(recorder, fleet, submaps)
     moved = f', {counted(args.moved, "object")} moved' if args.moved else ''
     compressed = sum(submap.compressed_count for submap in submaps)
     screen = console.stdout()
@@ -107,6 +116,15 @@ def run(args: argparse.Namespace) -> int:
         soft_wrap=True,
     )
     return 0
+
+
+def _record_bundles(recorder: McapRecorder, fleet: Fleet, submaps: Sequence[SubMap]) -> None:
+    """Record the bundle of every drone at the time of its sub-map."""
+    for name, bundle, submap in zip(fleet.names, fleet.bundles, submaps, strict=True):
+        stamps_ns = (submap.stamp_ns,) * len(bundle.keyframe_ids)
+        named = NamedBundle(replace(name, stamp_ns=submap.stamp_ns), bundle, stamps_ns)
+        topic = f'/{ros_name(name.robot_id)}/bundle'
+        recorder.write_bytes(topic, submap.stamp_ns, BUNDLE, encode_bundle(named))
 
 
 def recorded_submaps(fleet: Fleet, *, catalogue: bool = True) -> tuple[SubMap, ...]:

@@ -14,12 +14,13 @@ from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.requests import Denial
 from mapmerge_ros.submap import Request, SubMap
 
-MAX_TRIES = 5
+MAX_TRIES = 8
 """
 Times the same request is sent, each pause twice as long as the one before.
 
-With the default of 10 s the last one goes out after two and a half minutes. Requests are
-latched: a robot that comes into reach later gets the last one all the same.
+With the default of 10 s the last one goes out after 21 minutes; where every second message is
+lost, one robot in 250 stays unasked. Requests are latched: a robot that comes into reach later
+gets the last one all the same.
 """
 
 NOVELTY = 0.2
@@ -75,11 +76,20 @@ class Asking:
         if len(missing):
             self._denied[name] = Denial(missing, submap.compressed_count)
 
-    def wish(self, requests: Iterable[Request]) -> None:
-        """Replace what is wished for by what the newest fusion found."""
-        self._wishes = {request.map_id: request for request in requests}
+    def wish(self, requests: Iterable[Request], newest: Mapping[str, int] | None = None) -> None:
+        """
+        Replace what is wished for by what the last fusion found.
+
+        `newest` says which revisions are there by now: wishes about others are dropped.
+        """
+        wishes = {request.map_id: request for request in requests}
         # What is no longer wished for needs no answer.
-        self._sent = {name: sent for name, sent in self._sent.items() if name in self._wishes}
+        self._sent = {name: sent for name, sent in self._sent.items() if name in wishes}
+        self._wishes = {
+            name: request
+            for name, request in wishes.items()
+            if newest is None or newest.get(name) == request.revision
+        }
 
     def due(self, now_ns: int) -> tuple[Request, ...]:
         """Requests to be sent now; they count as sent."""

@@ -10,9 +10,9 @@ fair share of both budgets first; what is left goes round again, until nothing i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+import scipy.sparse
 
 from mapmerge_ros.arrays import Floats, Ids, Ints, Mask
 from mapmerge_ros.fusion.catalogues import Tracks
@@ -87,22 +87,19 @@ class _Selection:
     def _serve(self, a: int, b: int, turn: int) -> None:
         """Give a pair what it needs: again and again the one that is farthest from the others."""
         shared = np.flatnonzero(self._owners[a] & self._owners[b])
-        points, weights = self._places(a, shared), self._weights(a, b, shared)
-        gaps = np.full(
-            len(shared), 4.0 * np.sum((points - points.mean(axis=0)) ** 2, axis=1).max()
-        )
+        spread = _Spread(self._places(a, shared), self._weights(a, b, shared))
         for place in np.flatnonzero(self._taken[a, shared] & self._taken[b, shared]):
-            _narrow(gaps, points, place)
+            spread.take(int(place))
         need = int(self._need[a, b])
         while self._need[a, b] > 0:
-            in_a, in_b = self._taken[a, shared], self._taken[b, shared]
-            free = (in_a | (self._room[a] > 0)) & (in_b | (self._room[b] > 0)) & ~(in_a & in_b)
-            if not free.any():
+            # Where there is no room left, only what is taken already can serve the pair.
+            eligible = [self._taken[k, shared] for k in (a, b) if not self._room[k]]
+            best = spread.farthest(eligible)
+            if best is None:
                 return
-            best = int(np.argmax(np.where(free, gaps * weights, -1.0)))
             served = 1.0 - self._need[a, b] / need
             self._take(int(shared[best]), a, b, turn + served)
-            _narrow(gaps, points, best)
+            spread.take(best)
 
     def _places(self, k: int, tracks: Ints) -> Floats:
         points: Floats = self._common.submaps[k].points[self._common.rows[k, tracks]]
@@ -133,22 +130,45 @@ class _Selection:
         """Fill the room that is left with what partners have taken anyway."""
         takers = self._taken.sum(axis=0)
         for k in np.flatnonzero(self._room > 0):
-            partners = self._linked[k] @ self._taken.astype(np.int64)
-            free = np.flatnonzero(self._owners[k] & ~self._taken[k] & (partners > 0))
+            partners = self._taken[self._linked[k]].any(axis=0)
+            free = np.flatnonzero(self._owners[k] & ~self._taken[k] & partners)
             rank = np.lexsort((free, -self._common.worth[free], -takers[free]))
             joined = free[rank[: self._room[k]]]
             self._urgency[k, joined] = turn
         self._taken |= np.isfinite(self._urgency)
 
 
-def _narrow(gaps: Floats, points: Floats, place: int | np.integer[Any]) -> None:
-    """Squared distance of each point to the nearest one that is taken."""
-    np.minimum(gaps, np.sum((points - points[place]) ** 2, axis=1), out=gaps)
+class _Spread:
+    """Farthest-point sampling of weighted points (n, 3)."""
+
+    def __init__(self, points: Floats, weights: Floats) -> None:
+        self._points = points - points.mean(axis=0)
+        self._weights = weights
+        self._norms: Floats = np.einsum('ni,ni->n', self._points, self._points)
+        self._gaps = np.full(len(points), 4.0 * self._norms.max())
+        """Squared distance to the nearest one that is taken; no two points are farther apart"""
+        self._is_left = np.ones(len(points), bool)
+
+    def take(self, place: int) -> None:
+        """Take one of the points."""
+        distances = self._norms + self._norms[place] - 2.0 * self._points @ self._points[place]
+        np.minimum(self._gaps, np.maximum(distances, 0.0), out=self._gaps)
+        self._is_left[place] = False
+
+    def farthest(self, eligible: Sequence[Mask]) -> int | None:
+        """Place of the best point that is left and in all masks; None when there is none."""
+        free = np.logical_and.reduce([self._is_left, *eligible])
+        if not free.any():
+            return None
+        return int(np.argmax(np.where(free, self._gaps * self._weights, -1.0)))
 
 
 def _pair_counts(owned: Mask) -> Ints:
     """(maps, maps) tracks common to two sub-maps, zero on the diagonal."""
-    members = owned.astype(np.float32)
-    counts: Ints = np.rint(members @ members.T).astype(np.int64)
+    rows, columns = np.nonzero(owned)
+    members = scipy.sparse.csr_array(
+        (np.ones(len(rows), np.int64), (rows, columns)), shape=(len(owned), owned.shape[1])
+    )
+    counts = np.asarray((members @ members.T).toarray())
     np.fill_diagonal(counts, 0)
     return counts

@@ -151,7 +151,7 @@ class FusionEngine:
     def wish(self, requests: Iterable[Request]) -> None:
         """Take what a fusion would have the robots asked for, as far as it still holds."""
         newest = {submap.map_id: submap.revision for submap in self._store.snapshot()}
-        self.asking.wish(x for x in requests if newest.get(x.map_id) == x.revision)
+        self.asking.wish(requests, newest)
 
     def fuse(self) -> Fusion:
         """Fuse what is there, in this thread."""

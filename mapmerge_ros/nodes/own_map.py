@@ -16,6 +16,13 @@ from mapmerge_ros.submap import Request, SubMap
 MAX_REVISION = 2**32 - 1
 """Of the field on the wire."""
 
+STEP = 1000
+"""
+How far above the last request that is known of an earlier life a robot announces itself again.
+
+Every request may have been answered with one more revision; as many are kept for latecomers.
+"""
+
 
 class Response(Enum):
     """What a request calls for."""
@@ -78,9 +85,9 @@ class OwnMap:
         )
         return Response.REPEAT if is_same else Response.COMPRESS
 
-    def reannounce(self, above: int) -> None:
-        """Announce under a revision that the fusion side will take."""
-        self._first = self._newest = min(above + 1, MAX_REVISION)
+    def reannounce(self, asked: int) -> None:
+        """Announce above what an earlier life can have sent, which was asked at this revision."""
+        self._first = self._newest = min(asked + STEP, MAX_REVISION)
         self._announced = reannounce(self._announced, self._newest)
         self._answered = None
         self.raw = encode_submap(self._announced)
