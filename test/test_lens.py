@@ -18,6 +18,7 @@ from mapmerge_ros.bundle import (
     with_lens_prior,
 )
 from mapmerge_ros.bundle.dense import dense_jacobian
+from mapmerge_ros.cli.compress import with_uncertain_lens
 from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.fusion import fuse
 from mapmerge_ros.fusion.refine import Robot, refine
@@ -206,3 +207,15 @@ def test_rounds_reach_the_full_bundle_that_has_the_same_lenses(wrong_calibration
         pull = lin.bundle.lens.weight * lin.bundle.lens.residuals_px
         push = lin.by_lens.reshape(-1, 7).T @ lin.residuals_px.ravel()
         np.testing.assert_allclose(pull, -push, atol=1e-5 * np.abs(push).max())
+
+
+def test_the_command_says_why_a_lens_is_taken_as_exact(capsys):
+    plain = random_bundle(7)
+    assert with_uncertain_lens(plain, MapName('a', 'a'), 0.12).lens.size == 14
+    assert with_uncertain_lens(plain, MapName('a', 'a'), 0.0).lens.size == 0
+    assert not capsys.readouterr().err
+    own = replace(
+        plain, intrinsics=np.tile(plain.intrinsics[:1], (6, 1)), keyframe_cameras=np.arange(6)
+    )
+    assert with_uncertain_lens(own, MapName('a/0000', 'a'), 0.12).lens.size == 0
+    assert 'a/0000: lens taken as exact: no camera is shared by 3' in capsys.readouterr().err
