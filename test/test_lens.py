@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lens parameters as nuisance: exact elimination, honest merges of wrong calibrations."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -17,8 +18,11 @@ from mapmerge_ros.bundle import (
     with_lens_prior,
 )
 from mapmerge_ros.bundle.dense import dense_jacobian
+from mapmerge_ros.cli.compress import with_uncertain_lens
 from mapmerge_ros.errors import InvalidValue
-from mapmerge_ros.geometry import Gauge, gauge_basis
+from mapmerge_ros.fusion import fuse
+from mapmerge_ros.fusion.refine import Robot, refine
+from mapmerge_ros.geometry import Gauge, align, gauge_basis
 
 GAUGES = [Gauge.SIMILARITY, Gauge.RIGID, Gauge.YAW_TRANSLATION, Gauge.NONE]
 
@@ -127,3 +131,91 @@ def test_counts_keep_the_estimate_of_sigma_unbiased():
         factors.append(submap.a**2 / 0.01**2 / submap.redundancy)
     # The mean of 300 has a standard deviation of 0.006.
     assert np.mean(factors) == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.fixture(scope='module')
+def wrong_calibrations():
+    """Fleets in lanes over a yard, every lens wrong by about 0.12 px in each of seven ways."""
+    pytest.importorskip('pycolmap', reason='sessions are bundled by Ceres')
+    from mapmerge_ros.simulation import FleetConfig, measure, simulate_fleet
+
+    fleets = []
+    for seed in range(3):
+        rng, fleet = (
+            np.random.default_rng(seed),
+            simulate_fleet(FleetConfig(descriptors=False), seed),
+        )
+        robots = []
+        for k, truth in enumerate(fleet.truth.bundles):
+            lens = with_lens_prior(replace(truth, sigma_px=0.1), 0.12).lens
+            error_px = linearise(replace(truth, lens=lens)).by_lens @ (0.12 * rng.normal(size=7))
+            seen = replace(truth, observations_px=truth.observations_px + error_px)
+            bundle = measure(seen, rng, sigma_px=0.1).bundle
+            robots.append((bundle, bundle.point_ids[fleet.shared_rows(k)]))
+        fleets.append((fleet, robots))
+    return fleets
+
+
+def merged(fleet, robots, prior_px):
+    """Variance factor and root-mean-square error [m] of the merge of a fleet."""
+    fusion = fuse(
+        [
+            compress(
+                with_lens_prior(bundle, prior_px),
+                MapName(f'drone{k}', f'drone{k}', id_space='fleet'),
+                ids,
+                catalogue=False,
+            )
+            for k, (bundle, ids) in enumerate(robots)
+        ]
+    )
+    landmarks = fusion.components[0].landmarks
+    truth = fleet.truth.points_world(landmarks.ids)
+    placed = align(truth, landmarks.points_global).S_target_source.apply(landmarks.points_global)
+    error = np.sqrt(np.mean(np.sum((placed - truth) ** 2, axis=1)))
+    return fusion.components[0].verdict.variance_factor, error
+
+
+def test_wrong_calibrations_merge_honestly_with_nuisance_and_not_without(wrong_calibrations):
+    with_nuisance = np.array([merged(*each, 0.12) for each in wrong_calibrations])
+    without = np.array([merged(*each, 0.0) for each in wrong_calibrations])
+    # 552 degrees of freedom: the factor's own standard deviation is 0.06.
+    assert np.abs(with_nuisance[:, 0] - 1.0).max() < 0.15
+    assert without[:, 0].min() > 1.25
+    assert (with_nuisance[:, 1] < 0.7 * without[:, 1]).all()
+
+
+def test_rounds_reach_the_full_bundle_that_has_the_same_lenses(wrong_calibrations):
+    """Lenses are part of the bundle: re-optimised by the robot, linearised where they are."""
+    _, robots = wrong_calibrations[0]
+    uncertain = [
+        Robot(
+            MapName(f'drone{k}', f'drone{k}', id_space='fleet'), with_lens_prior(bundle, 0.12), ids
+        )
+        for k, (bundle, ids) in enumerate(robots)
+    ]
+    refined, rounds = refine(uncertain, 4)
+    costs = [each.cost_px2 for each in rounds]
+    assert all(after <= before for before, after in itertools.pairwise(costs))
+    assert abs(costs[-1] / costs[-2] - 1.0) < 1e-9
+    assert rounds[-1].step_ratio < 1e-4
+    for robot in refined:
+        moved_px = robot.bundle.lens.moved_px
+        assert 0.01 < np.abs(moved_px).max() < 0.6
+        # At the optimum of everything but the landmarks, the prior pulls as much as the images.
+        lin = linearise(robot.bundle)
+        pull = lin.bundle.lens.weight * lin.bundle.lens.residuals_px
+        push = lin.by_lens.reshape(-1, 7).T @ lin.residuals_px.ravel()
+        np.testing.assert_allclose(pull, -push, atol=1e-5 * np.abs(push).max())
+
+
+def test_the_command_says_why_a_lens_is_taken_as_exact(capsys):
+    plain = random_bundle(7)
+    assert with_uncertain_lens(plain, MapName('a', 'a'), 0.12).lens.size == 14
+    assert with_uncertain_lens(plain, MapName('a', 'a'), 0.0).lens.size == 0
+    assert not capsys.readouterr().err
+    own = replace(
+        plain, intrinsics=np.tile(plain.intrinsics[:1], (6, 1)), keyframe_cameras=np.arange(6)
+    )
+    assert with_uncertain_lens(own, MapName('a/0000', 'a'), 0.12).lens.size == 0
+    assert 'a/0000: lens taken as exact: no camera is shared by 3' in capsys.readouterr().err

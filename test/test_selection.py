@@ -5,10 +5,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scenes import random_bundle
 
-from mapmerge_ros.bundle.quality import TrackQuality, good_tracks, track_variances
+from mapmerge_ros.bundle import MapName, compress
+from mapmerge_ros.bundle.quality import TrackQuality, good_tracks, tail_ratio, track_variances
 from mapmerge_ros.bundle.selection import best_tracks, matched
+from mapmerge_ros.fusion import fuse
 
 QUALITY = TrackQuality()
 
@@ -65,3 +68,57 @@ def test_quality_does_not_depend_on_the_frame():
     np.testing.assert_array_equal(
         good_tracks(bundle, rows, QUALITY), good_tracks(moved, rows, QUALITY)
     )
+
+
+def test_gaussian_sessions_keep_every_track():
+    bundle = random_bundle(5, points=200)
+    assert 0.8 < tail_ratio(bundle) < QUALITY.gaussian_tail_ratio
+    assert good_tracks(bundle, np.arange(200), QUALITY).all()
+    assert tail_ratio(with_bad_tracks(bundle, np.arange(30), 8.0)) > 2.0
+
+
+@pytest.fixture(scope='module')
+def fleets():
+    pytest.importorskip('pycolmap', reason='sessions are bundled by Ceres')
+    from mapmerge_ros.simulation import FleetConfig, simulate_fleet
+
+    return [simulate_fleet(FleetConfig(descriptors=False), seed) for seed in range(4)]
+
+
+def variance_factor(bundles, chosen):
+    submaps = [
+        compress(bundle, MapName(f'drone{k}', 'drone', id_space='fleet'), ids, catalogue=False)
+        for k, (bundle, ids) in enumerate(zip(bundles, chosen, strict=True))
+    ]
+    fusion = fuse(submaps)
+    assert len(fusion.components[0].map_ids) == len(bundles)
+    return fusion.components[0].verdict.variance_factor
+
+
+def test_choosing_by_residuals_does_not_bias_the_merge_of_gaussian_sessions(fleets):
+    """Truncated residuals, honest statistics: they are independent of the points."""
+    always = replace(QUALITY, gaussian_tail_ratio=0.0)
+    factors, kept, before = [], 0, 0
+    for fleet in fleets:
+        chosen = matched(fleet.bundles, quality=always)
+        kept += sum(map(len, chosen))
+        before += sum(map(len, matched(fleet.bundles)))
+        factors.append(variance_factor(fleet.bundles, chosen))
+    assert kept < 0.6 * before
+    # 24 fleets: mean 1.002, standard deviation of one 0.09.
+    assert np.mean(factors) == pytest.approx(1.0, abs=0.13)
+
+
+def test_bad_tracks_spoil_a_merge_unless_good_ones_are_chosen(fleets):
+    """A sixth of each session's tracks on wrong key points, five sigma off."""
+    from mapmerge_ros.simulation import adjust
+
+    for seed, fleet in enumerate(fleets[:2]):
+        bundles = []
+        for bundle in fleet.bundles:
+            bad = np.random.default_rng(seed).permutation(len(bundle.points))[::6]
+            bundles.append(adjust(with_bad_tracks(bundle, bad, 2.5, seed)))
+        spoilt = variance_factor(bundles, matched(bundles))
+        chosen = matched(bundles, quality=QUALITY)
+        assert spoilt > 2.0
+        assert variance_factor(bundles, chosen) < 0.6 * spoilt

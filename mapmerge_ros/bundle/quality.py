@@ -47,6 +47,13 @@ class TrackQuality:
 
     Two views leave one, whose square is small by luck half of the time.
     """
+    gaussian_tail_ratio: float = 1.25
+    """
+    Tail ratio up to which a session has no bad tracks, only noise.
+
+    Real sessions have 1.5 to 2.8, simulated ones 1.00 with a standard deviation of 0.03; without
+    this rule more than half of their links went, and 10 % of the accuracy.
+    """
 
 
 def track_variances(bundle: Bundle, prior_redundancy: float = 3.0) -> Floats:
@@ -56,12 +63,19 @@ def track_variances(bundle: Bundle, prior_redundancy: float = 3.0) -> Floats:
     Three coordinates of a track are taken up by its point. The session's median is mixed in with
     the weight of `prior_redundancy` coordinates.
     """
-    lin = linearise(bundle)
-    squares = sum_by_point(lin, np.sum(lin.residuals_px**2, axis=1))
-    redundancy = 2.0 * np.bincount(bundle.observation_points) - 3.0
+    squares, redundancy = _residuals(bundle)
     typical = np.median(squares / redundancy)
     variances: Floats = (prior_redundancy * typical + squares) / (prior_redundancy + redundancy)
     return variances
+
+
+def tail_ratio(bundle: Bundle) -> float:
+    """Mean over typical residual variance of the tracks: 1 for Gaussian noise, else larger."""
+    squares, redundancy = _residuals(bundle)
+    # Wilson and Hilferty: the median of chi-square over its degrees of freedom.
+    medians = redundancy * (1.0 - 2.0 / (9.0 * redundancy)) ** 3
+    typical = float(np.median(squares / medians))
+    return float(np.sum(squares) / np.sum(redundancy)) / typical if typical > 0.0 else 1.0
 
 
 def good_tracks(bundle: Bundle, rows: Ints, quality: TrackQuality) -> Mask:
@@ -69,8 +83,10 @@ def good_tracks(bundle: Bundle, rows: Ints, quality: TrackQuality) -> Mask:
     Which of the candidates `rows` (k,) are good tracks, (k,).
 
     Good are those in the better part of the session, and the best of every area, so that no
-    part of the map is left without landmarks.
+    part of the map is left without landmarks. All are, where the session has no heavy tails.
     """
+    if tail_ratio(bundle) <= quality.gaussian_tail_ratio:
+        return np.ones(len(rows), np.bool_)
     variances = track_variances(bundle, quality.prior_redundancy)
     good: Mask = variances[rows] <= np.quantile(variances, quality.good_ratio)
     if not len(rows):
@@ -81,3 +97,10 @@ def good_tracks(bundle: Bundle, rows: Ints, quality: TrackQuality) -> Mask:
     better = (variances[rows][near] < variances[rows][:, None]).sum(axis=1)
     good |= better < quality.best_of_area
     return good
+
+
+def _residuals(bundle: Bundle) -> tuple[Floats, Floats]:
+    """Sum of squared residuals [px²] and redundancy of each track, (n,) both."""
+    lin = linearise(bundle)
+    squares = sum_by_point(lin, np.sum(lin.residuals_px**2, axis=1))
+    return squares, 2.0 * np.bincount(bundle.observation_points) - 3.0
