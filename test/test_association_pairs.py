@@ -5,12 +5,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
+from submaps import real_model
 
-from mapmerge_ros.association import AssociationConfig, Decision, match_pair, nearest
+from mapmerge_ros.association import AssociationConfig, Decision, match_pair, nearest, screen
+from mapmerge_ros.bundle import MapName, compress
 from mapmerge_ros.geometry import Gauge, Similarity, align
+from mapmerge_ros.io import load_colmap
+from mapmerge_ros.simulation import StreetConfig, simulate_street
 from mapmerge_ros.submap import Descriptors, DescriptorType, Source, SubMap
 
 CONFIG = AssociationConfig()
@@ -196,3 +201,177 @@ def test_shuffled_descriptors_are_not_joined():
         match = match_pair(a, replace(b, descriptors=mixed), CONFIG)
         assert match.decision is Decision.APART
         assert match.reason
+
+
+def test_a_map_and_its_disjoint_half_are_not_joined():
+    rng = np.random.default_rng(9)
+    for seed in range(10):
+        a, _, _ = random_pair(seed)
+        side = a.points @ rng.normal(size=3)
+        low, high = np.flatnonzero(side < -0.1), np.flatnonzero(side > 0.1)
+        match = match_pair(permuted(a, low), replace(permuted(a, high), map_id='b'), CONFIG)
+        assert match.decision is not Decision.JOINED
+
+
+def test_what_is_known_of_landmarks_weighs():
+    """Half of the landmarks are ten times worse, and say so."""
+    a, b, S_a_b = random_pair(10, noise=0.001)
+    rng = np.random.default_rng(10)
+    poor = rng.random(len(a.points)) < 0.5
+    points = a.points + np.where(poor[:, None], 0.05, 0.0) * rng.normal(size=a.points.shape)
+    variance = np.where(poor, 0.05**2, 0.001**2)[:, None]
+    told = replace(a, points=points, covariances=variance * [1, 0, 0, 1, 0, 1])
+    untold = replace(told, covariances=None)
+    error = {}
+    for name, own in (('told', told), ('untold', untold)):
+        match = match_pair(own, b, CONFIG)
+        assert match.decision is Decision.JOINED
+        error[name] = np.abs(match.S_a_b.apply(b.points) - S_a_b.apply(b.points)).max()
+    assert error['told'] < 0.5 * error['untold']
+
+
+# Repeated structure
+
+
+@pytest.fixture(scope='module')
+def street():
+    pytest.importorskip('pycolmap', reason='simulated maps are adjusted by pycolmap')
+    made = simulate_street(StreetConfig(facades=4, place_flip_ratio=0.04, own_flip_ratio=0.06), 5)
+    return made, [
+        compress(bundle, name, bundle.point_ids[:0])
+        for bundle, name in zip(made.bundles, made.names, strict=True)
+    ]
+
+
+def test_identical_facades_are_not_joined(street):
+    made, maps = street
+    tempting = 0
+    for i, j in combinations(range(len(maps)), 2):
+        if made.facades[i] != made.facades[j]:
+            assert not len(np.intersect1d(made.landmark_ids[i], made.landmark_ids[j]))
+            match = match_pair(maps[i], maps[j], CONFIG)
+            assert match.decision is not Decision.JOINED
+            if match.evidence.log_nfa < -20.0:
+                tempting += 1
+                assert 'repeated structure' in match.reason
+    assert tempting >= 10, 'the scene is no trap'
+
+
+def test_the_same_facade_is_joined_and_its_matches_are_right(street):
+    made, maps = street
+    for i, j in combinations(range(len(maps)), 2):
+        if made.facades[i] == made.facades[j]:
+            match = match_pair(maps[i], maps[j], CONFIG)
+            assert match.decision is Decision.JOINED, match.reason
+            same = made.landmark_ids[i][match.rows_a] == made.landmark_ids[j][match.rows_b]
+            assert same.mean() > 0.98
+
+
+# Which pairs are worth it
+
+
+def ring(count, seed=0):
+    """Each map shares 30 of 150 landmarks with the next one, and the last with the first."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(count, 120, 3))
+    looks = rng.integers(0, 256, (count, 120, 32), dtype=np.uint8)
+    maps = []
+    for k in range(count):
+        after = (k + 1) % count
+        rows = np.concatenate([looks[k], looks[after, :30]])
+        rows = rows ^ np.packbits(rng.random((150, 32, 8)) < 0.08, axis=-1)[..., 0]
+        where = random_frame(rng, Gauge.SIMILARITY).apply(
+            np.concatenate([points[k], points[after, :30]])
+        )
+        maps.append(catalogue(f'map{k:02d}', where, rows))
+    return maps, {tuple(sorted((k, (k + 1) % count))) for k in range(count)}
+
+
+def test_few_maps_are_all_matched():
+    maps, _ = ring(8)
+    assert screen(maps, CONFIG) == tuple(combinations(range(8), 2))
+
+
+def test_screening_keeps_every_true_pair_of_many_and_little_else():
+    maps, true = ring(30)
+    chosen = set(screen(maps, CONFIG))
+    assert true <= chosen
+    assert len(chosen) < 60
+
+
+def test_the_order_of_maps_does_not_change_what_is_matched():
+    maps, _ = ring(20, seed=1)
+    order = np.random.default_rng(1).permutation(20)
+    names = [{maps[i].map_id, maps[j].map_id} for i, j in screen(maps, CONFIG)]
+    mixed = [maps[k] for k in order]
+    again = [{mixed[i].map_id, mixed[j].map_id} for i, j in screen(mixed, CONFIG)]
+    assert sorted(map(sorted, names)) == sorted(map(sorted, again))
+
+
+def test_screening_survives_equal_missing_and_foreign_descriptors():
+    maps, true = ring(14, seed=2)
+    same = np.full((4000, 32), 9, np.uint8)
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(4000, 3))
+    sift = rng.integers(0, 256, (4000, 128), dtype=np.uint8)
+    odd = [
+        catalogue('equal0', points, same),
+        catalogue('equal1', points, same),
+        catalogue('zero', points, 0 * same),
+        catalogue('sift', points, sift, kind=DescriptorType.SIFT),
+        replace(catalogue('none', points, same), descriptors=Descriptors.none(4000)),
+    ]
+    chosen = set(screen(maps + odd, CONFIG))
+    assert true <= chosen
+    assert not {pair for pair in chosen if max(pair) >= 16}, 'nothing can be said of these'
+
+
+# Real maps
+
+
+@pytest.mark.parametrize(
+    ('name', 'least', 'precision'),
+    [('euroc_v101_maplab', 25, 0.75), ('brighton_drone', 1, 0.97)],
+)
+def test_real_maps_are_joined(name, least, precision):
+    maps = real_maps(name)
+    matches = {
+        (i, j): match_pair(maps[i], maps[j], CONFIG) for i, j in combinations(range(len(maps)), 2)
+    }
+    joined = {pair: own for pair, own in matches.items() if own.decision is Decision.JOINED}
+    assert len(joined) >= least
+    same = [
+        maps[i].landmark_ids[own.rows_a] == maps[j].landmark_ids[own.rows_b]
+        for (i, j), own in joined.items()
+    ]
+    assert np.concatenate(same).mean() > precision
+
+
+def test_screening_loses_no_pair_of_euroc_that_can_be_joined():
+    maps = real_maps('euroc_v101_maplab')
+    chosen = set(screen(maps, replace(CONFIG, screen_above=0)))
+    for i, j in set(combinations(range(8), 2)) - chosen:
+        assert match_pair(maps[i], maps[j], CONFIG).decision is not Decision.JOINED
+
+
+def test_halves_and_shuffled_real_maps_are_not_joined():
+    maps = real_maps('euroc_v101_maplab')
+    rng = np.random.default_rng(11)
+    for k, own in enumerate(maps):
+        side = own.points @ rng.normal(size=3)
+        low, high = np.quantile(side, [0.48, 0.52])
+        halves = permuted(own, side < low), replace(permuted(own, side > high), map_id='other')
+        other = maps[(k + 1) % len(maps)]
+        mixed = other.descriptors[rng.permutation(len(other.points))]
+        for a, b in (halves, (own, replace(other, descriptors=mixed))):
+            assert match_pair(a, b, CONFIG).decision is not Decision.JOINED
+
+
+def real_maps(name):
+    """Bare announcements of the sessions of a set."""
+    pytest.importorskip('pycolmap', reason='COLMAP models are read by pycolmap')
+    bundles = [load_colmap(path) for path in sorted(real_model(name).glob('session_*'))]
+    return [
+        compress(bundle, MapName(f'{name}/{k}', f'{k}'), bundle.point_ids[:0])
+        for k, bundle in enumerate(bundles)
+    ]

@@ -11,6 +11,7 @@ from mapmerge_ros.simulation.moved import MovedObject
 from mapmerge_ros.simulation.paper import box_truth, measured, paper_box
 from mapmerge_ros.simulation.scene import Scene, box_scene, room_scene, yard_scene
 from mapmerge_ros.simulation.session import Session, SimulationError, measure
+from mapmerge_ros.simulation.street import Street, StreetConfig, simulate_street
 from mapmerge_ros.simulation.trajectory import Trajectory, all_around, arc, lawn_mower, look_at
 
 __all__ = [
@@ -24,6 +25,8 @@ __all__ = [
     'Sensing',
     'Session',
     'SimulationError',
+    'Street',
+    'StreetConfig',
     'Trajectory',
     'Truth',
     'adjust',
@@ -45,6 +48,7 @@ __all__ = [
     'random_frame',
     'room_scene',
     'simulate_fleet',
+    'simulate_street',
     'solve',
     'yard_scene',
 ]

@@ -32,7 +32,9 @@ class StreetConfig:
     """From window to window and from floor to floor [m]."""
     gap: float = 20.0
     """Between two façades [m]; a drone before one of them does not see the next."""
-    distance: float = 12.0
+    coverage: float = 0.5
+    """Share of its façade that a drone flies along: from the left end, or from the right."""
+    distance: float = 7.0
     """Of the drones from the façade [m]."""
     keyframes: int = 16
     place_flip_ratio: float = 0.02
@@ -76,8 +78,8 @@ def simulate_street(config: StreetConfig | None = None, seed: int = 0) -> Street
     site, *robots = np.random.default_rng(seed).spawn(1 + len(visits))
     scene = street_scene(site, config)
     sessions = [
-        fly(rng, scene, _along(rng, int(facade), config), config.sensing, private_ids=True)
-        for rng, facade in zip(robots, visits, strict=True)
+        fly(rng, scene, _along(rng, drone, config), config.sensing, private_ids=True)
+        for drone, rng in enumerate(robots)
     ]
     return Street(
         bundles=tuple(session.bundle for session in sessions),
@@ -133,13 +135,15 @@ def _flipped(rng: np.random.Generator, rows: Bytes, ratio: float) -> Bytes:
     return rows ^ np.packbits(flips, axis=-1)[..., 0]
 
 
-def _along(rng: np.random.Generator, facade: int, config: StreetConfig) -> Trajectory:
+def _along(rng: np.random.Generator, drone: int, config: StreetConfig) -> Trajectory:
     """Two passes before a façade at different heights, looking at it, a little to the sides."""
+    facade, turn = divmod(drone, config.drones_per_facade)
+    left = (1.0 - config.coverage) * turn / max(config.drones_per_facade - 1, 1)
     count, height = config.keyframes, config.floors * config.pitch[1]
     passes = np.arange(count) * 2 // count
     share = (np.arange(count) * 2 / count) % 1.0
     share = np.where(passes == 0, share, 1.0 - share)
-    x = facade * (config.width + config.gap) + config.width * (0.15 + 0.7 * share)
+    x = facade * (config.width + config.gap) + config.width * (left + config.coverage * share)
     z = height * (0.3 + 0.4 * passes)
     centres = np.column_stack([x, np.full(count, -config.distance), z])
     centres += 0.5 * rng.normal(size=centres.shape)
