@@ -39,7 +39,7 @@ class TrackQuality:
     Tracks of an area that are good whatever the rest of the session is like.
 
     A third: poor texture keeps enough landmarks to show a moved object. On the sets at hand it
-    adds 1 to 4 % of landmarks and nothing to the variance factor.
+    adds up to 4 % of landmarks and nothing to the variance factor.
     """
     prior_redundancy: float = 3.0
     """
