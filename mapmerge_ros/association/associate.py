@@ -35,11 +35,29 @@ class Correspondences:
     matches: dict[tuple[int, int], PairMatch]
     """Every pair that was looked at, by index; what came of it and why"""
 
+    def common(self, a: int, b: int) -> int:
+        """Return the number of landmarks that two sub-maps have in common."""
+        return len(np.intersect1d(self.tracks[a], self.tracks[b]))
+
+    def restricted(self, maps: Sequence[int]) -> Correspondences:
+        """Return what is known of some of the sub-maps, in the given order."""
+        place = {k: slot for slot, k in enumerate(maps)}
+        return Correspondences(
+            tuple(self.tracks[k] for k in maps),
+            self.count,
+            {
+                (place[a], place[b]): match
+                for (a, b), match in self.matches.items()
+                if a in place and b in place
+            },
+        )
+
 
 def associate(
     submaps: Sequence[SubMap],
     config: AssociationConfig | None = None,
     memory: Memory | None = None,
+    by_descriptors: bool = True,
 ) -> Correspondences:
     """
     Find common landmarks by id within an id space, by descriptors and geometry elsewhere.

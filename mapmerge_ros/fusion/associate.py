@@ -24,6 +24,11 @@ class Association:
     count: int
     nameless: Mask
     """(count,) tracks whose landmark id has been given to another point as well"""
+    catalogues: tuple[Ints, ...]
+    """
+    Per sub-map the track (n_k - m_k,) of each landmark of its catalogue; from `count` on where
+    no sub-map has compressed that landmark
+    """
 
     @property
     def views(self) -> Ints:
@@ -42,10 +47,31 @@ class Association:
 
     def restricted(self, maps: Sequence[int]) -> Association:
         """Return the tracks of some sub-maps only, renumbered without gaps."""
-        kept = [self.tracks[k] for k in maps]
-        used, inverse = np.unique(np.concatenate(kept), return_inverse=True)
-        ends = np.cumsum([len(track) for track in kept])[:-1]
-        return Association(tuple(np.split(inverse, ends)), len(used), self.nameless[used])
+        return _numbered(
+            [self.tracks[k] for k in maps], [self.catalogues[k] for k in maps], self.nameless
+        )
+
+
+def _numbered(tracks: Sequence[Ints], catalogues: Sequence[Ints], nameless: Mask) -> Association:
+    """Tracks without gaps, those with a compressed landmark first."""
+    used, inverse = np.unique(np.concatenate(tracks), return_inverse=True)
+    others = np.concatenate(catalogues)
+    rest = np.setdiff1d(others, used)
+    known = np.isin(others, used)
+    numbers = np.where(
+        known, np.searchsorted(used, others), len(used) + np.searchsorted(rest, others)
+    )
+    return Association(
+        tuple(np.split(inverse, _ends(tracks))),
+        len(used),
+        nameless[used],
+        tuple(np.split(numbers, _ends(catalogues))),
+    )
+
+
+def _ends(parts: Sequence[Ints]) -> Ints:
+    ends: Ints = np.cumsum([len(part) for part in parts])[:-1]
+    return ends
 
 
 def split_contradictions(
@@ -62,6 +88,8 @@ def split_contradictions(
     for a, b, tracks in contradicting:
         for track in tracks:
             apart.setdefault(int(track), set()).update({(a, b), (b, a)})
+    if not apart:
+        return association
     renumbered = [tracks.copy() for tracks in association.tracks]
     count, nameless = association.count, list[int]()
     for track, pairs in sorted(apart.items()):
@@ -80,10 +108,26 @@ def split_contradictions(
     flags = np.zeros(count, bool)
     flags[: association.count] = association.nameless
     flags[nameless] = True
-    return Association(tuple(renumbered), count, flags)
+    added = count - association.count
+    catalogues = [
+        np.where(own >= association.count, own + added, own) for own in association.catalogues
+    ]
+    return Association(tuple(renumbered), count, flags, tuple(catalogues))
 
 
 def associate_by_id(submaps: Sequence[SubMap]) -> Association:
     """Landmarks of equal id in the same non-empty id space are one track; all others are alone."""
-    tracks, count = number_by_id(submaps, [submap.compressed_ids for submap in submaps])
-    return Association(tracks, count, np.zeros(count, bool))
+    tracks, _ = number_by_id(submaps, [submap.landmark_ids for submap in submaps])
+    return of_compressed(submaps, tracks)
+
+
+def of_compressed(submaps: Sequence[SubMap], tracks: Sequence[Ints]) -> Association:
+    """Association of sub-maps from tracks over all their landmarks, (n_k,) each."""
+    if not submaps:
+        return Association((), 0, np.zeros(0, bool), ())
+    counts = [submap.compressed_count for submap in submaps]
+    return _numbered(
+        [own[:m] for own, m in zip(tracks, counts, strict=True)],
+        [own[m:] for own, m in zip(tracks, counts, strict=True)],
+        np.zeros(max(int(own.max()) for own in tracks) + 1, bool),
+    )

@@ -15,11 +15,12 @@ from mapmerge_ros.fusion.compress import Normal, most_useful, normal_equations
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.element import Element, Placement, coordinates
 from mapmerge_ros.fusion.merge import Estimate
+from mapmerge_ros.fusion.names import Names, name_landmarks
 from mapmerge_ros.fusion.outcome import Component, Landmarks, Verdict
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.search import search
 from mapmerge_ros.fusion.stopwatch import Stopwatch
-from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue, track_ids
+from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue
 from mapmerge_ros.fusion.verify import Noise, degrees_of_freedom, pool_noise, verify
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import Source, SubMap, pack
@@ -149,26 +150,35 @@ def _compress(
         min(submap.gauge for submap in submaps),
     )
     covariance = normal.covariance(noise.sigma)
-    ids = track_ids(submaps, association)
+    names = name_landmarks(submaps, association)
+    ids = names.of_tracks(association)
     S_global_maps = tuple(placement.S_map_global.inverse() for placement in solution.placements)
-    catalogue = build_catalogue(submaps, S_global_maps, association)
-    keep = most_useful(
-        np.where(association.nameless, 0, association.views), ids, config.max_landmarks
-    )
-    keep &= ~association.nameless
+    catalogue = build_catalogue(submaps, S_global_maps, association, names)
+    keep = most_useful(np.where(names.nameless, 0, association.views), ids, config.max_landmarks)
+    keep &= ~names.nameless
     component = Component(
         map_ids=tuple(submap.map_id for submap in submaps),
         gauge=normal.gauge,
         anchor=anchor.map_id,
         submap=_global_submap(
-            submaps, normal.without(~keep), ids[keep], catalogue, noise, verdict, config, revision
+            submaps,
+            normal.without(~keep),
+            ids[keep],
+            catalogue,
+            names.id_space,
+            noise,
+            verdict,
+            config,
+            revision,
         ),
-        landmarks=_landmarks(submaps, association, ids, solution.points, covariance),
+        landmarks=_landmarks(submaps, association, names, solution.points, covariance),
         verdict=verdict,
         iterations=solution.estimate.iterations,
         converged=solution.estimate.converged,
         starts=solution.estimate.starts,
         cost_history=solution.estimate.history,
+        association=association,
+        names=names,
     )
     covariances = tuple(
         _frame_covariance(element, placement, covariance)
@@ -186,23 +196,24 @@ def _frame_covariance(element: Element, placement: Placement, covariance: Floats
 def _landmarks(
     submaps: Sequence[SubMap],
     association: Association,
-    ids: Ids,
+    names: Names,
     points: Floats,
     covariance: Floats,
 ) -> Landmarks:
     rows = np.concatenate(association.tracks)
     order = np.argsort(rows, kind='stable')
-    order = order[~association.nameless[rows[order]]]
-    slots = np.cumsum(~association.nameless) - 1
-    names = [submap.map_id for submap in submaps for _ in range(submap.compressed_count)]
+    is_named = ~names.nameless
+    order = order[is_named[rows[order]]]
+    slots = np.cumsum(is_named) - 1
+    maps = [submap.map_id for submap in submaps for _ in range(submap.compressed_count)]
     member_ids = np.concatenate([submap.compressed_ids for submap in submaps])
     variances = np.diag(covariance)
     return Landmarks(
-        ids=ids[~association.nameless],
-        points_global=points[~association.nameless],
-        std=np.sqrt(np.maximum(variances, 0.0)).reshape(-1, 3)[~association.nameless],
+        ids=names.of_tracks(association)[is_named],
+        points_global=points[is_named],
+        std=np.sqrt(np.maximum(variances, 0.0)).reshape(-1, 3)[is_named],
         member_rows=slots[rows[order]],
-        member_maps=tuple(names[int(k)] for k in order),
+        member_maps=tuple(maps[int(k)] for k in order),
         member_ids=member_ids[order],
     )
 
@@ -212,6 +223,7 @@ def _global_submap(
     normal: Normal,
     ids: Ids,
     catalogue: Catalogue,
+    id_space: str,
     noise: Noise,
     verdict: Verdict,
     config: FusionConfig,
@@ -232,7 +244,7 @@ def _global_submap(
         frame_id=config.global_frame,
         sources=tuple(sorted(sources)),
         gauge=normal.gauge,
-        id_space=submaps[0].id_space,
+        id_space=id_space,
         landmark_ids=catalogue.ids[rows],
         points=np.concatenate([normal.points, catalogue.points_global[rows[len(ids) :]]]),
         covariances=None if catalogue.covariances is None else catalogue.covariances[rows],

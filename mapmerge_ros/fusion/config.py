@@ -66,6 +66,8 @@ class FusionConfig:
     """
     catalogue: bool = True
     """Whether the outgoing map carries position and descriptor of all other landmarks."""
+    match_descriptors: bool = True
+    """Whether landmarks without a common id space are matched by descriptors and geometry."""
     ask: bool = True
     """Whether robots are asked to compress the landmarks that their partners have too."""
     request_landmarks: int = 300

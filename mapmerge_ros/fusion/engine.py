@@ -12,31 +12,27 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
+from mapmerge_ros.association import Correspondences, Memory, associate
 from mapmerge_ros.fusion.accumulate import Receipt, Store, without_duplicates
 from mapmerge_ros.fusion.asking import Asking
-from mapmerge_ros.fusion.associate import associate_by_id, split_contradictions
-from mapmerge_ros.fusion.component import Anchor, Merged
+from mapmerge_ros.fusion.associate import Association, of_compressed, split_contradictions
+from mapmerge_ros.fusion.catalogues import Tracks
+from mapmerge_ros.fusion.component import Anchor
 from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.copies import without_copies
 from mapmerge_ros.fusion.groups import Problem, merge_groups
 from mapmerge_ros.fusion.outcome import (
     Contradiction,
     Fusion,
-    MapAlignment,
+    Match,
     Pair,
-    Refusal,
-    State,
     Timing,
 )
 from mapmerge_ros.fusion.overlap import Link, find_links
-from mapmerge_ros.fusion.requests import Denial
+from mapmerge_ros.fusion.requests import Denial, plan_requests
+from mapmerge_ros.fusion.states import aligned, left_out
 from mapmerge_ros.fusion.stopwatch import Stopwatch
-from mapmerge_ros.fusion.tracks import track_ids
-from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import Request, SubMap
-
-NO_COMPONENT = -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,9 +46,15 @@ class Snapshot:
     """By map_id, how far its robot could not do what it was asked for"""
 
 
-def fuse(submaps: Iterable[SubMap] | Snapshot, config: FusionConfig | None = None) -> Fusion:
+def fuse(
+    submaps: Iterable[SubMap] | Snapshot,
+    config: FusionConfig | None = None,
+    memory: Memory | None = None,
+) -> Fusion:
     """
     Merge sub-maps into one map per connected component, and test each.
+
+    `memory` keeps what was found about pairs of sub-maps for the next time.
 
     The result does not depend on the order of the sub-maps, nor on any of their frames and
     scales (the frame of the result is that of the oldest sub-map of the smallest gauge).
@@ -61,11 +63,16 @@ def fuse(submaps: Iterable[SubMap] | Snapshot, config: FusionConfig | None = Non
     snapshot = submaps if isinstance(submaps, Snapshot) else Snapshot(tuple(submaps))
     stopwatch = Stopwatch()
     with stopwatch.measure('associate'):
-        kept, refusals = without_duplicates(snapshot.submaps)
+        known, refusals = without_duplicates(snapshot.submaps)
+        found = associate(known, memory=memory, by_descriptors=config.match_descriptors)
+        kept, copies = without_copies(known, found)
+        found = found.restricted([known.index(submap) for submap in kept])
         usable = tuple(submap for submap in kept if submap.compressed_count)
-        association = associate_by_id(usable)
+        association = of_compressed(
+            usable, [found.tracks[k] for k, own in enumerate(kept) if own.compressed_count]
+        )
         links = find_links(usable, association, config)
-        ids = track_ids(usable, association)
+        named = _named_contradictions(usable, association, links)
         association = split_contradictions(
             association, [(link.a, link.b, link.contradicting) for link in links]
         )
@@ -80,19 +87,18 @@ def fuse(submaps: Iterable[SubMap] | Snapshot, config: FusionConfig | None = Non
             stopwatch,
         )
     )
+    matches = _matches(kept, found)
     alignments = [
-        *_aligned(usable, links, merged),
-        *_left_out(snapshot.submaps, [*refusals, *failures]),
+        *aligned(usable, links, merged, matches),
+        *left_out(snapshot.submaps, [*refusals, *copies, *failures], matches),
     ]
     return Fusion(
         components=tuple(part.component for _, part in merged),
         alignments=tuple(sorted(alignments, key=lambda item: item.submap.map_id)),
         pairs=tuple(Pair(usable[x.a].map_id, usable[x.b].map_id, x.shared) for x in links),
-        contradictions=tuple(
-            Contradiction(int(ids[track]), usable[link.a].map_id, usable[link.b].map_id)
-            for link in links
-            for track in link.contradicting
-        ),
+        contradictions=named,
+        matches=matches,
+        requests=_requests(kept, found, config, snapshot),
         timing=Timing(
             stopwatch['associate'],
             stopwatch['merge'] + stopwatch['compress'],
@@ -110,6 +116,7 @@ class FusionEngine:
         self.config = config or FusionConfig()
         self._store = Store(self.config.map_id)
         self.asking = Asking(self.config)
+        self.memory = Memory()
         self._anchor: Anchor | None = None
         self._revision = revision
         self.changed = False
@@ -155,62 +162,35 @@ class FusionEngine:
 
     def fuse(self) -> Fusion:
         """Fuse what is there, in this thread."""
-        fusion = fuse(self.snapshot(), self.config)
+        fusion = fuse(self.snapshot(), self.config, self.memory)
         self.commit(fusion)
         return fusion
 
 
-def _aligned(
-    submaps: Sequence[SubMap],
-    links: Sequence[Link],
-    merged: Sequence[tuple[tuple[int, ...], Merged]],
-) -> list[MapAlignment]:
-    """Sub-maps that are in a component: merged in the published one, else detached."""
-    published = merged[0][0] if merged else ()
-    return [
-        MapAlignment(
-            submaps[k],
-            State.MERGED if index == 0 and len(published) > 1 else State.DETACHED,
-            '' if index == 0 and len(published) > 1 else _why_detached(k, submaps, links),
-            index,
-            part.S_global_maps[slot],
-            part.covariances[slot],
+def _matches(submaps: Sequence[SubMap], found: Correspondences) -> tuple[Match, ...]:
+    return tuple(
+        Match(submaps[a].map_id, submaps[b].map_id, found.common(a, b), match)
+        for (a, b), match in sorted(found.matches.items())
+    )
+
+
+def _requests(
+    submaps: Sequence[SubMap], found: Correspondences, config: FusionConfig, snapshot: Snapshot
+) -> tuple[Request, ...]:
+    if not config.ask:
+        return ()
+    return plan_requests(submaps, Tracks(found.tracks, found.count), config, snapshot.denied)
+
+
+def _named_contradictions(
+    submaps: Sequence[SubMap], association: Association, links: Sequence[Link]
+) -> tuple[Contradiction, ...]:
+    return tuple(
+        Contradiction(
+            int(submaps[link.a].compressed_ids[association.tracks[link.a] == track][0]),
+            submaps[link.a].map_id,
+            submaps[link.b].map_id,
         )
-        for index, (group, part) in enumerate(merged)
-        for slot, k in enumerate(group)
-    ]
-
-
-def _why_detached(k: int, submaps: Sequence[SubMap], links: Sequence[Link]) -> str:
-    own = [link for link in links if k in (link.a, link.b)]
-    joined = [link for link in own if link.S_a_b is not None]
-    if joined:
-        return f'joined with {len(joined)} sub-maps, but not with the published map'
-    if own:
-        best = max(own, key=lambda link: link.shared)
-        other = submaps[best.b if best.a == k else best.a].map_id
-        return f'best overlap is with {other}: {best.reason}'
-    if not submaps[k].id_space:
-        return 'its landmark ids are private (id_space is empty)'
-    if len(submaps) == 1:
-        return 'it is the only sub-map so far'
-    return f'no landmark in common with any other sub-map of id space {submaps[k].id_space!r}'
-
-
-def _left_out(submaps: Iterable[SubMap], refusals: Iterable[Refusal]) -> list[MapAlignment]:
-    """Sub-maps that no component has: refused ones, and bare announcements."""
-    reasons = {refusal.map_id: refusal.reason for refusal in refusals}
-    left_out = []
-    for submap in submaps:
-        if submap.map_id in reasons:
-            state, reason = State.REFUSED, reasons[submap.map_id]
-        elif not submap.compressed_count:
-            state, reason = State.DETACHED, 'an announcement: none of its landmarks is compressed'
-        else:
-            continue
-        left_out.append(
-            MapAlignment(
-                submap, state, reason, NO_COMPONENT, Similarity.identity(), np.zeros((7, 7))
-            )
-        )
-    return left_out
+        for link in links
+        for track in link.contradicting
+    )

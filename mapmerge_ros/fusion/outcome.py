@@ -10,8 +10,11 @@ from enum import IntEnum
 import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ids, Ints
+from mapmerge_ros.association import PairMatch
+from mapmerge_ros.fusion.associate import Association
+from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.geometry import Gauge, Similarity
-from mapmerge_ros.submap import SubMap
+from mapmerge_ros.submap import Request, SubMap
 
 
 class State(IntEnum):
@@ -76,6 +79,17 @@ class Pair:
     shared: int
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """Two sub-maps that were compared by descriptors, and what came of it."""
+
+    a: str
+    b: str
+    links: int
+    """Landmarks that they have in common in the end, catalogues included"""
+    found: PairMatch
+
+
 @dataclass(frozen=True, slots=True)
 class Contradiction:
     """A landmark id that two sub-maps give to points too far apart to be one."""
@@ -129,6 +143,10 @@ class Component:
     starts: int
     """Starts of the merge until it was believed, or until there was no other to try"""
     cost_history: tuple[float, ...]
+    association: Association
+    """Tracks of its sub-maps, in the order of `map_ids`"""
+    names: Names
+    """Ids of their landmarks in the merged map"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +169,10 @@ class Fusion:
     """By map_id"""
     pairs: tuple[Pair, ...]
     contradictions: tuple[Contradiction, ...] = ()
+    matches: tuple[Match, ...] = ()
+    """Pairs that were matched by descriptors"""
+    requests: tuple[Request, ...] = ()
+    """What the robots should compress to make the next merge better"""
     timing: Timing = field(default_factory=Timing)
 
     @property

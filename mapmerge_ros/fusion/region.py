@@ -9,7 +9,6 @@ sub-maps is weakly determined the true region bends away from it; the cost of me
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,10 +16,8 @@ import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.errors import InvalidValue
-from mapmerge_ros.fusion.associate import Association, associate_by_id, split_contradictions
 from mapmerge_ros.fusion.element import Element
 from mapmerge_ros.fusion.outcome import Fusion
-from mapmerge_ros.fusion.tracks import track_ids
 from mapmerge_ros.fusion.verify import pool_noise
 from mapmerge_ros.submap import SubMap
 
@@ -42,12 +39,12 @@ def p_value_of(fusion: Fusion, ids: Ids, points: Floats) -> float:
     """
     members = _published(fusion)
     noise = pool_noise(members)
-    association = _as_merged(fusion, members)
+    association, names = fusion.components[0].association, fusion.components[0].names
     is_shared = association.views > 1
-    if (is_shared & association.nameless).any():
+    if (is_shared & names.nameless).any():
         raise InvalidValue('ids: a shared landmark has an id that two points claim')
     shared = np.flatnonzero(is_shared)
-    given = _rows(np.asarray(ids, np.uint64), track_ids(members, association)[shared])
+    given = _rows(np.asarray(ids, np.uint64), names.of_tracks(association)[shared])
     positions = points[given]
     slots = np.cumsum(is_shared) - 1
     price = 0.0
@@ -62,21 +59,6 @@ def p_value_of(fusion: Fusion, ids: Ids, points: Floats) -> float:
     if noise.estimated_from:
         return float(scipy.stats.f.sf(rise / freedom, freedom, noise.estimated_from))
     return float(scipy.stats.chi2.sf(rise, freedom))
-
-
-def _as_merged(fusion: Fusion, members: Sequence[SubMap]) -> Association:
-    """Tracks of the merge: ids that it found to contradict the geometry are split again."""
-    association = associate_by_id(members)
-    slots = {submap.map_id: k for k, submap in enumerate(members)}
-    ids = track_ids(members, association)
-    return split_contradictions(
-        association,
-        [
-            (slots[item.a], slots[item.b], np.flatnonzero(ids == item.landmark_id))
-            for item in fusion.contradictions
-            if item.a in slots and item.b in slots
-        ],
-    )
 
 
 def _published(fusion: Fusion) -> list[SubMap]:

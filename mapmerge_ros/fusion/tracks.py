@@ -1,6 +1,6 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Names and members of the merged landmarks, and the catalogue that goes on with them."""
+"""The catalogue that goes on with the merged landmarks."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from mapmerge_ros.arrays import Bytes, Floats, Ids, Ints, Mask
 from mapmerge_ros.fusion.associate import Association
+from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import (
     Descriptors,
@@ -19,14 +20,6 @@ from mapmerge_ros.submap import (
     symmetric_from_upper,
     upper_from_symmetric,
 )
-
-
-def track_ids(submaps: Sequence[SubMap], association: Association) -> Ids:
-    """(count,) id of each track: that of its landmarks, in the id space they have in common."""
-    ids = np.zeros(association.count, np.uint64)
-    for submap, tracks in zip(submaps, association.tracks, strict=True):
-        ids[tracks] = submap.compressed_ids
-    return ids
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,12 +41,15 @@ class Catalogue:
 
 
 def build_catalogue(
-    submaps: Sequence[SubMap], S_global_maps: Sequence[Similarity], association: Association
+    submaps: Sequence[SubMap],
+    S_global_maps: Sequence[Similarity],
+    association: Association,
+    names: Names,
 ) -> Catalogue:
-    """Collect every landmark with a name of sub-maps of one id space in the global frame."""
+    """Collect every landmark of the sub-maps that has a name, in the global frame."""
     named = [
-        _named(submap, association.nameless[tracks])
-        for submap, tracks in zip(submaps, association.tracks, strict=True)
+        _named(submap, ids, names.nameless[tracks])
+        for submap, ids, tracks in zip(submaps, names.ids, association.tracks, strict=True)
     ]
     members = np.concatenate([part.landmark_ids for part in named])
     ids, first, slots = np.unique(members, return_index=True, return_inverse=True)
@@ -79,13 +75,11 @@ class _Points:
     descriptors: Descriptors
 
 
-def _named(submap: SubMap, nameless: Mask) -> _Points:
+def _named(submap: SubMap, ids: Ids, nameless: Mask) -> _Points:
     keep = np.ones(len(submap.landmark_ids), bool)
     keep[: submap.compressed_count] = ~nameless
     covariances = None if submap.covariances is None else submap.covariances[keep]
-    return _Points(
-        submap.landmark_ids[keep], submap.points[keep], covariances, submap.descriptors[keep]
-    )
+    return _Points(ids[keep], submap.points[keep], covariances, submap.descriptors[keep])
 
 
 def _combined(

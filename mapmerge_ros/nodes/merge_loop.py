@@ -7,22 +7,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mapmerge_ros.association import Memory
 from mapmerge_ros.fusion import Fusion, FusionConfig, FusionEngine, Snapshot, fuse
-from mapmerge_ros.fusion.accumulate import without_duplicates
-from mapmerge_ros.fusion.catalogues import tracks_by_id
-from mapmerge_ros.fusion.requests import plan_requests
 from mapmerge_ros.io import encode_submap
 from mapmerge_ros.nodes.worker import Result, Worker
-from mapmerge_ros.submap import Request
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Product:
-    """A fusion, the bytes of its global map, and what would make the next one better."""
+    """A fusion, and the bytes of its global map."""
 
     fusion: Fusion
     global_map: bytes | None
-    requests: tuple[Request, ...] = ()
 
 
 OnMerge = Callable[[Result[Product]], None]
@@ -39,7 +35,7 @@ class MergeLoop:
     def __init__(self, engine: FusionEngine, wake: Callable[[], None], on_merge: OnMerge) -> None:
         self.engine = engine
         self._worker: Worker[Snapshot, Product] = Worker(
-            lambda snapshot: produce(snapshot, engine.config), wake
+            lambda snapshot: produce(snapshot, engine.config, engine.memory), wake
         )
         self._on_merge = on_merge
         self._served: list[OnMerge] = []
@@ -86,24 +82,14 @@ class MergeLoop:
     def _deliver(self, result: Result[Product]) -> None:
         if result.product is not None:
             self.engine.commit(result.product.fusion)
-            self.engine.wish(result.product.requests)
+            self.engine.wish(result.product.fusion.requests)
         self._on_merge(result)
         for on_merge in self._served:
             on_merge(result)
 
 
-def produce(snapshot: Snapshot, config: FusionConfig) -> Product:
-    """Fuse a snapshot, serialise the global map, and find out what to ask the robots for."""
-    fusion = fuse(snapshot, config)
+def produce(snapshot: Snapshot, config: FusionConfig, memory: Memory) -> Product:
+    """Fuse a snapshot and serialise the global map."""
+    fusion = fuse(snapshot, config, memory)
     global_map = fusion.global_map
-    return Product(
-        fusion,
-        None if global_map is None else encode_submap(global_map),
-        wishes(snapshot, config) if config.ask else (),
-    )
-
-
-def wishes(snapshot: Snapshot, config: FusionConfig) -> tuple[Request, ...]:
-    """Requests that follow from what all catalogues have in common."""
-    submaps, _ = without_duplicates(snapshot.submaps)
-    return plan_requests(submaps, tracks_by_id(submaps), config, snapshot.denied)
+    return Product(fusion, None if global_map is None else encode_submap(global_map))

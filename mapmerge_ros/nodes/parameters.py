@@ -114,6 +114,11 @@ CONFIG_SETTINGS = (
         'Whether the global map carries the other landmarks, position and descriptor only.',
     ),
     Setting(
+        'match_descriptors',
+        CONFIG.match_descriptors,
+        'Whether landmarks without a common id space are matched by descriptors and geometry.',
+    ),
+    Setting(
         'ask',
         CONFIG.ask,
         'Whether robots are asked to compress the landmarks that other sub-maps have too.',
