@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from submaps import random_bundle, random_submap
 
+from mapmerge_ros.bundle.lens import Lens
 from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.io import (
@@ -52,7 +53,9 @@ def assert_same(left: Any, right: Any) -> None:
         if isinstance(one, Descriptors):
             assert one.type is other.type
             one, other = one.rows, other.rows
-        if isinstance(one, np.ndarray):
+        if isinstance(one, Lens):
+            assert_same(one, other)
+        elif isinstance(one, np.ndarray):
             assert one.dtype == other.dtype, field.name
             np.testing.assert_array_equal(one, other, err_msg=field.name)
         else:

@@ -11,10 +11,9 @@ import pytest
 from scenes import random_bundle
 
 from mapmerge_ros.bundle import Bundle, MapName
-from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, fuse
+from mapmerge_ros.fusion import FusionConfig, FusionEngine, State
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.io import NamedBundle, decode_submap
-from mapmerge_ros.nodes.merge_loop import wishes
 from mapmerge_ros.nodes.own_map import OwnMap, Response, work
 
 CONFIG = FusionConfig(request_landmarks=15)
@@ -51,9 +50,7 @@ class Air:
 
     def tick(self, now_s: int) -> None:
         if self.engine.changed:
-            snapshot = self.engine.snapshot()
-            self.engine.commit(fuse(snapshot, CONFIG))
-            self.engine.wish(wishes(snapshot, CONFIG))
+            self.engine.fuse()
         for request in self.engine.asking.due(now_s * S):
             self.requests += 1
             own = self.robots[request.map_id]

@@ -70,9 +70,8 @@ def associate(
     known, count = number_by_id(maps, [submap.landmark_ids for submap in maps])
     named = [Named(submap) for submap in maps]
     memory.turn()
-    matches = {
-        (a, b): memory.match(named[a], named[b], config) for a, b in _pairs(named, memory, config)
-    }
+    pairs = _pairs(named, memory, config) if by_descriptors else []
+    matches = {(a, b): memory.match(named[a], named[b], config) for a, b in pairs}
     network = close_loops(maps, matches)
     marks = [Landmarks.of(submap) for submap in maps]
     links = {

@@ -12,11 +12,12 @@ from mapmerge_ros.arrays import Ids
 from mapmerge_ros.bundle import Bundle, MapName, compress, with_lens_prior
 from mapmerge_ros.bundle.lens_prior import MIN_KEYFRAMES
 from mapmerge_ros.bundle.quality import TrackQuality
-from mapmerge_ros.bundle.selection import best_tracks, matched
+from mapmerge_ros.bundle.selection import best_tracks
 from mapmerge_ros.cli import console, models, options
-from mapmerge_ros.cli.options import Subparsers, UsageError
+from mapmerge_ros.cli.options import Subparsers
 from mapmerge_ros.cli.outputs import check_file, ros_name
 from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
+from mapmerge_ros.fusion.offline import choose_for_bundles
 from mapmerge_ros.io import MAX_MESSAGE_BYTES, encode_submap, write_submaps
 from mapmerge_ros.io.wording import counted, readable_bytes
 from mapmerge_ros.submap import SubMap
@@ -27,9 +28,10 @@ DEFAULT_TRACKS = 100
 DEFAULT_LENS_PRIOR_PX = 0.12
 """What calibrations leave open; above 1 px the single linear step is no longer safe."""
 
-_NO_COMMON_IDS = (
-    '--landmarks matched: the ids of separate models mean nothing to each other; '
-    'give --id-space NAME if equal point3D ids are the same point, else --landmarks N'
+
+_NOTHING_COMMON = (
+    'no two models have a landmark in common: without --id-space NAME they are matched by '
+    'descriptors (descriptors.npz beside each model), see mapmerge info for the reasons'
 )
 
 
@@ -53,8 +55,9 @@ def add_parser(subparsers: Subparsers) -> None:
         '--landmarks',
         type=_landmarks,
         metavar='matched|N|all',
-        help='which points to compress: those that another model has too (default for several '
-        f'models), the N longest tracks (default for one: {DEFAULT_TRACKS}), or all',
+        help='which points to compress: those that another model has too, by descriptors or, with '
+        '--id-space, by id (default for several models), the N longest tracks (default for one: '
+        f'{DEFAULT_TRACKS}), or all',
     )
     add(
         '--all-tracks',
@@ -78,12 +81,10 @@ def add_parser(subparsers: Subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Load, select, compress, write."""
     wanted = args.landmarks or ('matched' if len(args.models) > 1 else DEFAULT_TRACKS)
-    if wanted == 'matched' and not args.id_space:
-        raise UsageError(_NO_COMMON_IDS)
     names = models.map_names(args)
     check_file(args.out, '.mcap')
     bundles = models.load(args)
-    chosen = choose(bundles, wanted, args.max_landmarks, not args.all_tracks)
+    chosen = choose(bundles, names, wanted, args.max_landmarks, not args.all_tracks)
     bundles = [
         with_uncertain_lens(bundle, name, args.lens_prior)
         for bundle, name in zip(bundles, names, strict=True)
@@ -102,12 +103,19 @@ def run(args: argparse.Namespace) -> int:
 
 
 def choose(
-    bundles: Sequence[Bundle], wanted: str | int, cap: int, good_only: bool = True
+    bundles: Sequence[Bundle],
+    names: Sequence[MapName],
+    wanted: str | int,
+    cap: int,
+    good_only: bool = True,
 ) -> tuple[Ids, ...]:
     """Ids of the points to compress, per bundle."""
     quality = TrackQuality() if good_only else None
     if wanted == 'matched':
-        return matched(bundles, cap, quality)
+        chosen = choose_for_bundles(bundles, names, cap, quality)
+        if len(bundles) > 1 and not any(len(ids) for ids in chosen):
+            console.warn(_NOTHING_COMMON)
+        return chosen
     if wanted == 'all':
         return tuple(bundle.point_ids for bundle in bundles)
     return tuple(best_tracks(bundle, int(wanted), quality) for bundle in bundles)

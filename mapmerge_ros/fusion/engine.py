@@ -150,15 +150,12 @@ class FusionEngine:
         return Snapshot(self._store.snapshot(), self._anchor, self._revision, self.asking.denied)
 
     def commit(self, fusion: Fusion) -> None:
-        """Remember where the global frame is, so that it does not jump at the next merge."""
+        """Remember where the global frame is, so that it does not jump, and whom to ask."""
+        newest = {submap.map_id: submap.revision for submap in self._store.snapshot()}
+        self.asking.wish(fusion.requests, newest)
         for item in fusion.alignments:
             if fusion.components and item.submap.map_id == fusion.components[0].anchor:
                 self._anchor = Anchor(item.submap.map_id, item.S_global_map)
-
-    def wish(self, requests: Iterable[Request]) -> None:
-        """Take what a fusion would have the robots asked for, as far as it still holds."""
-        newest = {submap.map_id: submap.revision for submap in self._store.snapshot()}
-        self.asking.wish(requests, newest)
 
     def fuse(self) -> Fusion:
         """Fuse what is there, in this thread."""

@@ -82,7 +82,6 @@ class MergeLoop:
     def _deliver(self, result: Result[Product]) -> None:
         if result.product is not None:
             self.engine.commit(result.product.fusion)
-            self.engine.wish(result.product.fusion.requests)
         self._on_merge(result)
         for on_merge in self._served:
             on_merge(result)
