@@ -41,6 +41,8 @@ class AssociationConfig:
     """Samples judged in any case."""
     refined_models: int = 10
     """Best samples that are fitted to their inliers; the best alone misses 1 pair of EuRoC."""
+    refined_if_settled: int = 3
+    """The same where more than half of the candidates agree: the rest are near copies."""
     refinements: int = 10
     """Rounds of fit and judgement; three are usual."""
     max_background: int = 150
