@@ -308,6 +308,23 @@ def test_the_order_of_maps_does_not_change_what_is_matched():
     assert sorted(map(sorted, names)) == sorted(map(sorted, again))
 
 
+def test_maps_of_nothing_alike_are_not_worth_matching():
+    rng = np.random.default_rng(4)
+    for count in (0, 1, 2, 14):
+        maps = [
+            catalogue(f'{k:02d}', np.eye(3), rng.integers(0, 256, (3, 32), dtype=np.uint8))
+            for k in range(count)
+        ]
+        assert screen(maps, replace(CONFIG, screen_above=0)) == ()
+
+
+def test_a_place_that_all_of_a_large_fleet_see_is_no_reason_to_skip_it():
+    rng = np.random.default_rng(5)
+    points, rows = rng.normal(size=(20, 3)), rng.integers(0, 256, (20, 32), dtype=np.uint8)
+    maps = [catalogue(f'{k:02d}', points, rows) for k in range(80)]
+    assert len(screen(maps, CONFIG)) == 80 * 79 // 2
+
+
 def test_screening_survives_equal_missing_and_foreign_descriptors():
     maps, true = ring(14, seed=2)
     same = np.full((4000, 32), 9, np.uint8)

@@ -24,7 +24,7 @@ def match_pair(a: SubMap, b: SubMap, config: AssociationConfig) -> PairMatch:
 
     The same landmarks in another order, or the maps exchanged, give the same matches.
     """
-    if (b.map_id, b.revision) < (a.map_id, a.revision):
+    if _rank(b) < _rank(a):
         return _exchanged(match_pair(b, a, config))
     order_a, order_b = np.argsort(a.landmark_ids), np.argsort(b.landmark_ids)
     found = nearest(a.descriptors[order_a], b.descriptors[order_b], config)
@@ -46,6 +46,11 @@ def match_pair(a: SubMap, b: SubMap, config: AssociationConfig) -> PairMatch:
     if found.reason:
         reason = found.reason
     return _result(decision, reason, evidence, aligned, rows_a, rows_b)
+
+
+def _rank(submap: SubMap) -> tuple[str, int, bytes]:
+    """Order of two maps that does not depend on which is asked about first."""
+    return submap.map_id, submap.revision, submap.points[:1].tobytes()
 
 
 def variances(submap: SubMap) -> Floats:

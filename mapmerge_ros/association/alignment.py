@@ -72,13 +72,20 @@ def align_candidates(matched: Matched, gauge: Gauge, config: AssociationConfig) 
     scores = significance(distances, near, gauge.minimal_points, limit)
     order = np.argsort(scores.log_nfa, kind='stable')[: config.refined_models]
     best: Aligned | None = None
-    for row in order:
-        if not np.isfinite(scores.log_nfa[row]):
+    for tried, row in enumerate(order):
+        if not np.isfinite(scores.log_nfa[row]) or _settled(best, tried, config):
             break
         found = _refine(models.one(int(row)), matched, gauge, limit, config)
         if found is not None and (best is None or found.log_nfa < best.log_nfa):
             best = found
     return best
+
+
+def _settled(best: Aligned | None, tried: int, config: AssociationConfig) -> bool:
+    """Whether no other alignment can be right: most candidates agree with this one."""
+    if best is None or tried < config.refined_if_settled:
+        return False
+    return bool(best.inliers.mean() > 0.5) and best.log_nfa <= config.max_log_nfa
 
 
 def _refine(

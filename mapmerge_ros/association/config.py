@@ -41,6 +41,8 @@ class AssociationConfig:
     """Samples judged in any case."""
     refined_models: int = 10
     """Best samples that are fitted to their inliers; the best alone misses 1 pair of EuRoC."""
+    refined_if_settled: int = 3
+    """The same where more than half of the candidates agree: the rest are near copies."""
     refinements: int = 10
     """Rounds of fit and judgement; three are usual."""
     max_background: int = 150
@@ -63,9 +65,9 @@ class AssociationConfig:
     clear_share: float = 0.1
     """Share of the inliers that `max_clear_ratio` is about."""
     max_clear_ratio: float = 0.61
-    """True pairs: 0.55 at most; identical façades: 0.67 at least."""
+    """True pairs: 0.55 at most; identical façades with log NFA below -5: 0.64 at least."""
     min_peculiar_score: float = -3.5
-    """True pairs: -2.6 at least; façades that are alike element by element: -4.4 at most."""
+    """True pairs: -2.4 at least; a façade that is there twice, element by element: -1 to -5."""
     max_peculiar: int = 600
     """Landmarks it is computed from: more would make a small preference significant."""
     overlap_radius: float = 2.5
@@ -82,7 +84,7 @@ class AssociationConfig:
     meet with probability 0.98, by 20 % with 0.31, unrelated ones (46 %) with 0.0001."""
     hash_bits: int = 20
     max_bucket: int = 64
-    """Landmarks under one key; more of them are no sign of one place and cost the square."""
+    """Landmarks under one key, or two per map; more are no sign of one place, but costly."""
     max_alike_binary: float = 0.2
     """Share of bits. EuRoC: three of five true matches are nearer, one of twenty wrong ones."""
     max_alike_sift: float = 0.09
@@ -92,7 +94,9 @@ class AssociationConfig:
     min_alike_ratio: float = 0.003
     """The same over the landmarks of the smaller map: large maps have more look-alikes."""
     best_partners: int = 4
-    """Maps that every map is matched with, however few look-alikes it has."""
+    """Maps that every map is matched with, if it has at least `min_alike_partner` look-alikes."""
+    min_alike_partner: int = 2
+    """A single look-alike is chance: EuRoC's sessions 2 and 7 have one, and cannot be joined."""
 
     min_transitive: int = 6
     """Landmarks that other maps say are common before a pair is looked at that no match joined."""

