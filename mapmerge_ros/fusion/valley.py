@@ -57,6 +57,9 @@ are claimed: what bends has longer tails than an ellipsoid of its size. At twice
 LEAST_GAIN = 0.02
 """Relative growth of a variance (1 % of the standard deviation) that is not worth reporting."""
 
+LEAST_VARIANCE = 1e-12
+"""Of the largest: what is below is rounding, and not to be whitened."""
+
 SETTLING_STEPS, SETTLED = 8, 1e-3
 """Gauss-Newton steps per point; done when a step promises less than this share of σ²."""
 
@@ -65,7 +68,10 @@ SETTLING_STEPS, SETTLED = 8, 1e-3
 class _Stop:
     """A point of the valley."""
 
-    normal: Normal
+    points: Floats
+    """(n, 3)"""
+    covariance: Floats
+    """(3n, 3n) as if this were the optimum"""
     offset: float
     """Along the direction that is followed [map units]"""
     rise: float
@@ -97,18 +103,18 @@ def excess_spread(
 
     No column where the merge is as straight as its covariance (3n, 3n) says. Only ever adds.
     """
-    null = gauge_basis(normal.points, normal.gauge)
-    rest = np.linalg.qr(null, mode='complete')[0][:, null.shape[1] :]
-    root = rest @ np.linalg.cholesky(rest.T @ covariance @ rest)
-    white = np.linalg.pinv(root)
     variances, directions = np.linalg.eigh(covariance)
+    free = slice(int(normal.gauge), None)  # the gauge has none, and they ascend
+    roots = np.sqrt(np.maximum(variances[free], LEAST_VARIANCE * variances[-1]))
+    root, white = directions[:, free] * roots, (directions[:, free] / roots).T
     spread = np.zeros((len(covariance), 0))
     for k in range(1, DIRECTIONS + 1):
         std = float(np.sqrt(max(variances[-k], 0.0)))
         if std < WEAK_RATIO * np.sqrt(variances[-1]):
             break
-        stops = _valley(elements, normal, directions[:, -k], std, sigma)
-        moments = _second_moments(stops, normal, directions[:, -k], white, sigma)
+        bottom = _Stop(normal.points, covariance, 0.0, 0.0)
+        stops = _valley(elements, normal, bottom, directions[:, -k], std, sigma)
+        moments = _second_moments(stops, normal, directions[:, -k], white)
         gains, axes = np.linalg.eigh(white @ moments @ white.T - np.eye(len(white)))
         grown = gains > LEAST_GAIN
         if not grown.any():
@@ -118,24 +124,30 @@ def excess_spread(
 
 
 def _valley(
-    elements: Sequence[Element], normal: Normal, direction: Floats, std: float, sigma: float
+    elements: Sequence[Element],
+    normal: Normal,
+    bottom: _Stop,
+    direction: Floats,
+    std: float,
+    sigma: float,
 ) -> list[_Stop]:
     """Points along the valley in order, the optimum among them."""
-    bottom = _Stop(normal, 0.0, 0.0)
     level = _cost(elements, normal.points)
     sides = list[list[_Stop]]()
     for step in (-STEP * std, STEP * std):
         stops = [bottom]
         ahead = step * direction.reshape(-1, 3)
         while len(stops) <= MAX_STEPS and stops[-1].rise < MAX_RISE:
-            last = stops[-1].normal.points
-            offset = stops[-1].offset + step
+            last, offset = stops[-1].points, stops[-1].offset + step
             try:
                 found = _settled(elements, normal, direction, offset, last + ahead, sigma)
+                covariance = found.covariance(sigma)
             except (DegenerateGeometry, np.linalg.LinAlgError):
                 break
             rise = (_cost(elements, found.points) - level) / sigma**2
-            stops.append(_Stop(found, offset, rise))
+            if not np.isfinite(rise):
+                break
+            stops.append(_Stop(found.points, covariance, offset, rise))
             ahead = found.points - last
         sides.append(stops)
     return [*reversed(sides[0][1:]), *sides[1]]
@@ -178,7 +190,7 @@ def _cost(elements: Sequence[Element], points: Floats) -> float:
 
 
 def _second_moments(
-    stops: Sequence[_Stop], bottom: Normal, direction: Floats, white: Floats, sigma: float
+    stops: Sequence[_Stop], bottom: Normal, direction: Floats, white: Floats
 ) -> Floats:
     """
     About the optimum (3n, 3n): of the valley, and of what each of its points leaves open.
@@ -191,14 +203,14 @@ def _second_moments(
     for stop in stops:
         S_bottom_stop = align(
             bottom.points,
-            stop.normal.points,
+            stop.points,
             gauge=bottom.gauge,
             weights=weights,
             scale='tangent',
         ).S_target_source
-        moved = (S_bottom_stop.apply(stop.normal.points) - bottom.points).ravel()
+        moved = (S_bottom_stop.apply(stop.points) - bottom.points).ravel()
         displacements.append(moved - null @ (null.T @ moved))
-        across.append(_across(stop.normal.covariance(sigma), direction))
+        across.append(_across(stop.covariance, direction))
     rises = np.array([stop.rise for stop in stops])
     by_ellipsoid = np.sum((white @ np.array(displacements).T) ** 2, axis=0)
     ends = by_ellipsoid[[0, -1]] / np.maximum(rises[[0, -1]], 1.0)
