@@ -45,13 +45,13 @@ STEP, MAX_STEPS = 0.7, 24
 MAX_RISE = 9.0
 """Of the cost over σ²: beyond three standard deviations nothing is left to weigh."""
 
-WIDEST = 2.0
+WIDEST = 3.0
 """
 Largest temperature at which the points of a valley are weighed.
 
-The second moments of the curve itself cover the truth in 93 % of 100 narrow merges where 99 %
-are claimed: what bends has longer tails than an ellipsoid of its size. At twice the temperature
-97 to 98 % are covered, at three times 98 to 99 %.
+What bends has longer tails than an ellipsoid of its size: with the second moments of the curve
+itself, 93 % of 100 narrow merges hold the truth where 99 % are claimed. At twice the temperature
+96.5 % of 400 others do, at three times 97.8 %.
 """
 
 LEAST_GAIN = 0.02
