@@ -18,7 +18,7 @@ from mapmerge_ros.experiments.fixed_transform import compress_held, merge_with_f
 from mapmerge_ros.experiments.office_site import COMMON, RECORDINGS
 from mapmerge_ros.experiments.split import part_of, shared_ids, stretches
 from mapmerge_ros.fusion import fuse
-from mapmerge_ros.simulation import adjust, paper_box
+from mapmerge_ros.simulation import BehindCamera, adjust, paper_box
 
 
 @pytest.fixture(scope='module')
@@ -161,3 +161,22 @@ def test_the_damage_is_where_it_says():
     offset = np.linalg.norm(session.bundle.observations_px - session.truth.observations_px, axis=1)
     assert np.median(offset[wrong]) > 2.0
     assert np.median(offset[~wrong]) < 1.0
+
+
+def test_every_point_of_the_box_is_seen_twice():
+    box = paper_box(np.random.default_rng(0), maps=1, points=60, cameras=4, seen_ratio=0.3)[0]
+    assert np.bincount(box.observation_points).min() >= 2
+
+
+def test_office_records_again_where_a_point_ends_behind_a_camera(monkeypatch):
+    taken = []
+
+    def flown(seed, run, retake):
+        taken.append(retake)
+        if retake < 1:
+            raise BehindCamera('bundle adjustment: point 7 is behind a camera')
+        return {'accepted': True}
+
+    monkeypatch.setattr(office, '_flown', flown)
+    assert office.run_one(0, 0) == {'accepted': True, 'retakes': 1}
+    assert taken == [0, 1]

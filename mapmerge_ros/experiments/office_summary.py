@@ -88,6 +88,8 @@ def summarise(results: Results) -> Summary:
         f'Procrustes {_mean(procrustes):.1f}, ours {_mean(ours):.1f}, '
         f'full bundle {_mean(full):.1f}',
         f'merge accepted in {results.share(results.column("accepted") > 0):.1%} of the runs',
+        f'{int(results.column("retakes").sum())} runs were recorded again: a point of a weak '
+        'track had ended behind a camera',
         'every map is brought to the scale of truth by a similarity over its 24 landmarks',
     )
     return Summary(

@@ -11,9 +11,14 @@ import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ids, Mask
 from mapmerge_ros.fusion.associate import Association
-from mapmerge_ros.fusion.compress import Normal, most_useful, normal_equations
+from mapmerge_ros.fusion.compress import (
+    Normal,
+    frame_covariance,
+    most_useful,
+    normal_equations,
+)
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.element import Element, Placement, coordinates
+from mapmerge_ros.fusion.element import Element, Placement
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.names import Names, name_landmarks
 from mapmerge_ros.fusion.outcome import Component, Landmarks, Verdict
@@ -21,6 +26,7 @@ from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.search import search
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue
+from mapmerge_ros.fusion.valley import as_wide_as_it_is
 from mapmerge_ros.fusion.verify import Noise, degrees_of_freedom, pool_noise, verify
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import Source, SubMap, pack
@@ -149,7 +155,9 @@ def _compress(
         solution.placements,
         min(submap.gauge for submap in submaps),
     )
-    covariance = normal.covariance(noise.sigma)
+    normal, covariance = as_wide_as_it_is(
+        solution.elements, solution.placements, normal, noise.sigma
+    )
     names = name_landmarks(submaps, association)
     ids = names.of_tracks(association)
     S_global_maps = tuple(placement.S_map_global.inverse() for placement in solution.placements)
@@ -181,16 +189,10 @@ def _compress(
         names=names,
     )
     covariances = tuple(
-        _frame_covariance(element, placement, covariance)
+        frame_covariance(element, placement, covariance)
         for element, placement in zip(solution.elements, solution.placements, strict=True)
     )
     return Merged(component, S_global_maps, covariances)
-
-
-def _frame_covariance(element: Element, placement: Placement, covariance: Floats) -> Floats:
-    at = coordinates(element.tracks)
-    by_points = element.frame_by_points(placement)
-    return np.asarray(by_points @ covariance[np.ix_(at, at)] @ by_points.T)
 
 
 def _landmarks(

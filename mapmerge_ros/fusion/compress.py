@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -66,6 +66,15 @@ class Normal:
             self.gauge,
         )
 
+    def loosened(self, spread: Floats, sigma: float) -> Normal:
+        """Take the information down to that of covariance + U U', for U (3n, k) off the gauge."""
+        if not spread.shape[1]:
+            return self
+        pulled = self.information @ spread / sigma
+        inner = np.eye(spread.shape[1]) + spread.T @ pulled / sigma
+        loss = pulled @ np.linalg.solve(inner, pulled.T)
+        return replace(self, information=self.information - 0.5 * (loss + loss.T))
+
     def triangle(self) -> tuple[Floats, Floats]:
         """R̄ and c̄."""
         return factor_information(
@@ -81,6 +90,13 @@ def normal_equations(
 ) -> Normal:
     """Square the merge Jacobian at the optimum, private landmarks included."""
     return Normal(points, *assemble(elements, placements, points.size), gauge)
+
+
+def frame_covariance(element: Element, placement: Placement, covariance: Floats) -> Floats:
+    """(7, 7) left tangent of S_global_map, from the covariance (3n, 3n) of the landmarks."""
+    at = coordinates(element.tracks)
+    by_points = element.frame_by_points(placement)
+    return np.asarray(by_points @ covariance[np.ix_(at, at)] @ by_points.T)
 
 
 def most_useful(views: Ints, ids: Ids, limit: int) -> Mask:

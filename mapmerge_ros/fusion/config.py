@@ -49,8 +49,13 @@ class FusionConfig:
     """
     significance: float = 0.01
     """The merge is not believed below this p-value (the paper takes the 99th percentile)."""
-    max_iterations: int = 50
-    """Gauss-Newton steps; 5 to 12 are usual."""
+    max_iterations: int = 200
+    """
+    Gauss-Newton steps; 5 to 12 are usual.
+
+    Along a bent valley they creep: of 60 narrow rooms 9 needed more than 50, some of them 75, and
+    one of 200 was 10 σ² above its optimum after 50.
+    """
     max_starts: int = 12
     """
     Starts of the merge until the test accepts it; more than one only where a rotation between

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated robots with truth: scenes, drones, their maps, and the full bundle to compare with."""
 
-from mapmerge_ros.simulation.adjust import Adjustment, AdjustmentError, adjust, solve
+from mapmerge_ros.simulation.adjust import Adjustment, AdjustmentError, BehindCamera, adjust, solve
 from mapmerge_ros.simulation.drones import Camera, Sensing, fly, observe
 from mapmerge_ros.simulation.fleet import Fleet, FleetConfig, Truth, simulate_fleet
 from mapmerge_ros.simulation.frames import anchored, frame_error, random_frame
@@ -17,6 +17,7 @@ from mapmerge_ros.simulation.trajectory import Trajectory, all_around, arc, lawn
 __all__ = [
     'Adjustment',
     'AdjustmentError',
+    'BehindCamera',
     'Camera',
     'Fleet',
     'FleetConfig',

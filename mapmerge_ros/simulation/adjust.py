@@ -11,7 +11,7 @@ import numpy as np
 
 from mapmerge_ros.arrays import Ints
 from mapmerge_ros.bundle import Bundle
-from mapmerge_ros.errors import MapMergeError
+from mapmerge_ros.errors import InvalidValue, MapMergeError
 from mapmerge_ros.simulation.frames import anchored
 
 MAX_ITERATIONS = 100
@@ -31,6 +31,10 @@ GRADIENT_TOLERANCE = 1e-10
 
 class AdjustmentError(MapMergeError):
     """The bundle cannot be adjusted; the message says what to do."""
+
+
+class BehindCamera(AdjustmentError):
+    """A point ended behind a camera that observes it: its track is too weak."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +76,8 @@ def solve(
     ------
     AdjustmentError
         pycolmap is not installed, or the solver failed.
+    BehindCamera
+        A point without parallax has its optimum behind a camera that observes it.
 
     """
     colmap = _library()
@@ -88,7 +94,7 @@ def solve(
     if not summary.IsSolutionUsable():
         raise AdjustmentError(f'bundle adjustment failed: {summary.message}')
     return Adjustment(
-        bundle=anchored(_from_colmap(bundle, model), bundle),
+        bundle=anchored(_in_front(bundle, model), bundle),
         iterations=summary.num_successful_steps,
         converged=summary.termination_type.name == 'CONVERGENCE',
         cost_px2=2.0 * summary.final_cost,
@@ -149,6 +155,13 @@ def _to_colmap(bundle: Bundle, colmap: Any) -> Any:
         track = colmap.Track([colmap.TrackElement(*pair) for pair in pairs])
         model.add_point3D(bundle.points[row], track)
     return model
+
+
+def _in_front(bundle: Bundle, model: Any) -> Bundle:
+    try:
+        return _from_colmap(bundle, model)
+    except InvalidValue as err:  # all else about the bundle is as it was
+        raise BehindCamera(f'bundle adjustment: {err}') from err
 
 
 def _from_colmap(bundle: Bundle, model: Any) -> Bundle:
