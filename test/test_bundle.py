@@ -43,9 +43,11 @@ def test_elimination_equals_dense_qr(gauge, method, off):
     np.testing.assert_allclose(
         fast.r.T @ fast.c, gradient, atol=1e-8 * max(np.abs(gradient).max(), 1)
     )
-    size = np.abs(dense.pose_by_shared).max()
-    np.testing.assert_allclose(fast.pose_by_shared / size, dense.pose_by_shared / size, atol=1e-8)
-    np.testing.assert_allclose(fast.pose_offset, dense.pose_offset, atol=1e-8)
+    size = np.abs(dense.session_by_shared).max()
+    np.testing.assert_allclose(
+        fast.session_by_shared / size, dense.session_by_shared / size, atol=1e-8
+    )
+    np.testing.assert_allclose(fast.session_offset, dense.session_offset, atol=1e-8)
 
 
 @pytest.mark.parametrize('gauge', GAUGES)
@@ -64,7 +66,7 @@ def test_the_compressed_cost_is_the_minimum_over_everything_else(gauge):
         direct = np.sum((shifted + jacobian[:, others] @ step) ** 2)
         compact = found.a**2 + np.sum((found.r @ moved + found.c) ** 2)
         np.testing.assert_allclose(compact, direct, rtol=1e-9)
-        pose_steps, point_steps = found.steps(lin, moved.reshape(-1, 3))
+        pose_steps, point_steps, _ = found.steps(lin, moved.reshape(-1, 3))
         np.testing.assert_allclose(pose_steps.ravel(), step[:36], atol=1e-7)
         rest = np.delete(point_steps, shared, axis=0).ravel()
         np.testing.assert_allclose(rest, step[36:], atol=1e-7)

@@ -46,7 +46,7 @@ def test_adjusted_bundle_is_at_its_optimum(fleet: Fleet) -> None:
     for robot, bundle in enumerate(fleet.bundles):
         found = eliminate(linearise(bundle), fleet.shared_rows(robot))
         assert np.linalg.norm(found.c) < 1e-4 * bundle.sigma_px
-        assert np.abs(found.pose_offset).max() < 1e-6
+        assert np.abs(found.session_offset).max() < 1e-6
 
 
 def test_early_stop_leaves_a_gradient_and_says_so() -> None:

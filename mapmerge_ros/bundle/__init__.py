@@ -5,12 +5,15 @@
 from mapmerge_ros.bundle.bundle import Bundle, FramePrior
 from mapmerge_ros.bundle.compress import MapName, Update, compress, eliminate, update
 from mapmerge_ros.bundle.elimination import Elimination
+from mapmerge_ros.bundle.lens import Lens
+from mapmerge_ros.bundle.lens_prior import with_lens_prior
 from mapmerge_ros.bundle.linearise import Linearisation, linearise
 
 __all__ = [
     'Bundle',
     'Elimination',
     'FramePrior',
+    'Lens',
     'Linearisation',
     'MapName',
     'Update',
@@ -18,4 +21,5 @@ __all__ = [
     'eliminate',
     'linearise',
     'update',
+    'with_lens_prior',
 ]

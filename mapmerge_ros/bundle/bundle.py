@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mapmerge_ros.arrays import Floats, Ids, Ints, frozen
+from mapmerge_ros.bundle.lens import Lens
 from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import Descriptors
@@ -81,6 +83,8 @@ class Bundle:
     """
     (7 - gauge,) how far the map has been moved away from what the prior says; empty = zeros.
     """
+    lens: Lens = field(default_factory=Lens)
+    """What is uncertain about the intrinsics, see `with_lens_prior`; by default nothing"""
 
     def __post_init__(self) -> None:
         m, n, o = len(self.keyframe_ids), len(self.point_ids), len(self.observation_points)
@@ -113,8 +117,9 @@ class Bundle:
             ('keyframe_cameras', len(self.intrinsics)),
             ('observation_keyframes', len(self.keyframe_ids)),
             ('observation_points', len(self.point_ids)),
+            ('lens.cameras', len(self.intrinsics)),
         ):
-            rows = getattr(self, name)
+            rows = attrgetter(name)(self)
             if len(rows) and (rows.min() < 0 or rows.max() >= bound):
                 raise InvalidValue(f'{name}: a row outside 0..{bound - 1}')
         for name in ('keyframe_ids', 'point_ids'):
@@ -145,13 +150,14 @@ class Bundle:
 
     @property
     def residual_count(self) -> int:
-        """η: image coordinates, and one for each frame direction known from elsewhere."""
-        return self.observations_px.size + 7 - int(self.gauge)
+        """η: image coordinates, frame directions known from elsewhere, uncertain lenses."""
+        return self.observations_px.size + 7 - int(self.gauge) + self.lens.size
 
     @property
     def dof(self) -> int:
         """d: parameters that the residuals determine."""
-        return 6 * len(self.keyframe_ids) + 3 * len(self.point_ids) - int(self.gauge)
+        poses, points = 6 * len(self.keyframe_ids), 3 * len(self.point_ids)
+        return poses + points - int(self.gauge) + self.lens.size
 
     def points_camera(self) -> Floats:
         """Observed points (o, 3) in the frame of the observing camera."""
@@ -167,12 +173,17 @@ class Bundle:
         return -offsets
 
     def moved(
-        self, pose_steps: Floats, point_steps: Floats, prior_steps: Floats | float = 0.0
+        self,
+        pose_steps: Floats,
+        point_steps: Floats,
+        prior_steps: Floats | float = 0.0,
+        lens_steps: Floats | float = 0.0,
     ) -> Bundle:
         """
         Apply local steps: poses (m, 6) rotation vector [rad] and translation, points (n, 3).
 
-        `prior_steps` (7 - gauge,) [px] is what that does to the residuals of the frame prior.
+        `prior_steps` (7 - gauge,) [px] is what that does to the residuals of the frame prior,
+        `lens_steps` (l, 7) [px] is by how much the lenses move.
         """
         turns = Rotation.from_rotvec(pose_steps[:, :3]).as_matrix()
         return replace(
@@ -181,6 +192,7 @@ class Bundle:
             translations_camera_map=self.translations_camera_map + pose_steps[:, 3:],
             points=self.points + point_steps,
             prior_residuals_px=self.prior_residuals_px + prior_steps,
+            lens=replace(self.lens, moved_px=self.lens.moved_px + lens_steps),
         )
 
     def transformed(self, S_new_old: Similarity) -> Bundle:

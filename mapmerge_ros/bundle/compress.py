@@ -173,6 +173,4 @@ def update(
     found = eliminate(lin, rows, method)
     S_map_global = into_map(bundle, rows, found, points_global)
     shared_steps = S_map_global.apply(points_global) - bundle.points[rows]
-    pose_steps, point_steps = found.steps(lin, shared_steps)
-    prior_steps = lin.prior_rows @ pose_steps.ravel()
-    return Update(bundle.moved(pose_steps, point_steps, prior_steps), S_map_global)
+    return Update(lin.moved(*found.steps(lin, shared_steps)), S_map_global)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.bundle.lens import COUNT
 from mapmerge_ros.bundle.linearise import Linearisation
 
 
@@ -17,8 +18,8 @@ class Elimination:
     """
     r'r ≈ a² + |R δq + c|² for the shared points, and ds/dq (eq. 4) for the rest.
 
-    δp = pose_by_shared δq + pose_offset are the best poses for given shared points; the offset
-    is zero where the bundle is at its optimum.
+    δs = session_by_shared δq + session_offset are the best poses and lenses for given shared
+    points; the offset is zero where the bundle is at its optimum.
     """
 
     a: float
@@ -26,20 +27,22 @@ class Elimination:
     """(3k - gauge, 3k) upper trapezoid"""
     c: Floats
     """(3k - gauge,)"""
-    pose_by_shared: Floats
-    """(6m, 3k)"""
-    pose_offset: Floats
-    """(6m,)"""
+    session_by_shared: Floats
+    """(6m + 7 l, 3k)"""
+    session_offset: Floats
+    """(6m + 7 l,)"""
     shared_rows: Ints
     """(k,) rows of the bundle's points"""
 
-    def steps(self, lin: Linearisation, shared_steps: Floats) -> tuple[Floats, Floats]:
-        """Best pose steps (m, 6) and point steps (n, 3) when the shared points move (k, 3)."""
-        pose_steps = self.pose_by_shared @ shared_steps.ravel() + self.pose_offset
-        pose_steps = pose_steps.reshape(-1, 6)
-        point_steps = _best_points(lin, pose_steps)
+    def steps(self, lin: Linearisation, shared_steps: Floats) -> tuple[Floats, Floats, Floats]:
+        """Best steps of poses (m, 6), points (n, 3) and lenses (l, 7) for shared steps (k, 3)."""
+        session_steps = self.session_by_shared @ shared_steps.ravel() + self.session_offset
+        poses = 6 * len(lin.bundle.keyframe_ids)
+        pose_steps = session_steps[:poses].reshape(-1, 6)
+        lens_steps = session_steps[poses:].reshape(-1, COUNT)
+        point_steps = _best_points(lin, pose_steps, lens_steps)
         point_steps[self.shared_rows] = shared_steps
-        return pose_steps, point_steps
+        return pose_steps, point_steps, lens_steps
 
 
 def point_information(lin: Linearisation) -> Floats:
@@ -65,10 +68,11 @@ def _sum_by(rows: Ints, count: int, values: Floats) -> Floats:
     return sums
 
 
-def _best_points(lin: Linearisation, pose_steps: Floats) -> Floats:
-    """Least-squares step (n, 3) of every point after the poses have moved."""
+def _best_points(lin: Linearisation, pose_steps: Floats, lens_steps: Floats) -> Floats:
+    """Least-squares step (n, 3) of every point after poses and lenses have moved."""
     moved = pose_steps[lin.bundle.observation_keyframes]
     residuals = lin.residuals_px + np.einsum('oij,oj->oi', lin.by_pose, moved)
+    residuals += lin.by_lens @ lens_steps.ravel()
     gradient = sum_by_point(lin, np.einsum('oij,oi->oj', lin.by_point, residuals))
     steps: Floats = np.linalg.solve(point_information(lin), -gradient[:, :, None])[:, :, 0]
     return steps

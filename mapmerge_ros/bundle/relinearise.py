@@ -70,12 +70,11 @@ def _follow(bundle: Bundle, rows: Ints, points_global: Floats) -> Bundle:
     found = eliminate(lin, rows)
     S_map_global = into_map(bundle, rows, found, points_global)
     shared_steps = S_map_global.apply(points_global) - bundle.points[rows]
-    pose_steps, point_steps = found.steps(lin, shared_steps)
+    pose_steps, point_steps, lens_steps = found.steps(lin, shared_steps)
     try:
-        return bundle.moved(pose_steps, point_steps, lin.prior_rows @ pose_steps.ravel())
+        return lin.moved(pose_steps, point_steps, lens_steps)
     except InvalidValue:  # a badly determined private point stepped behind its camera
-        point_steps = _only(rows, shared_steps, len(point_steps))
-        return bundle.moved(pose_steps, point_steps, lin.prior_rows @ pose_steps.ravel())
+        return lin.moved(pose_steps, _only(rows, shared_steps, len(point_steps)), lens_steps)
 
 
 def _only(rows: Ints, shared_steps: Floats, count: int) -> Floats:
@@ -87,14 +86,11 @@ def _only(rows: Ints, shared_steps: Floats, count: int) -> Floats:
 def _improved(bundle: Bundle, rows: Ints, cost: float) -> tuple[Bundle, float]:
     """One step of everything but the shared points that does not raise the cost, halved to fit."""
     lin, still = linearise(bundle), np.zeros((len(rows), 3))
-    pose_steps, point_steps = eliminate(lin, rows).steps(lin, still)
+    pose_steps, point_steps, lens_steps = eliminate(lin, rows).steps(lin, still)
     share = 1.0
     for _ in range(MAX_HALVINGS):
-        moved_poses = share * pose_steps
         try:
-            trial = bundle.moved(
-                moved_poses, share * point_steps, lin.prior_rows @ moved_poses.ravel()
-            )
+            trial = lin.moved(share * pose_steps, share * point_steps, share * lens_steps)
         except InvalidValue:  # a badly determined point stepped behind its camera
             share /= 2.0
             continue

@@ -1,13 +1,13 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Elimination by two Schur complements: private points first, then the cameras."""
+"""Elimination by two Schur complements: private points first, then poses and lenses."""
 
 from __future__ import annotations
 
 import numpy as np
 import scipy.linalg
 
-from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.bundle.elimination import (
     Elimination,
     point_information,
@@ -20,12 +20,12 @@ from mapmerge_ros.geometry import gauge_basis
 from mapmerge_ros.submap import factor_information
 
 POINTS_PER_CHUNK = 2048
-"""Bounds the dense (6m, 3 chunk) block of eliminated points: 18 MB for 60 key frames."""
+"""Bounds the dense (6m + 7 l, 3 chunk) block of eliminated points: 18 MB for 60 key frames."""
 
 
 def eliminate_by_schur(lin: Linearisation, shared_rows: Ints) -> Elimination:
     """
-    Eliminate all poses and all other points from the normal equations.
+    Eliminate all poses, lenses and all other points from the normal equations.
 
     Raises
     ------
@@ -33,16 +33,12 @@ def eliminate_by_schur(lin: Linearisation, shared_rows: Ints) -> Elimination:
         The shared landmarks leave a camera free, or are not determined themselves.
 
     """
-    points, keyframes = lin.bundle.points, lin.bundle.observation_keyframes
-    m = len(lin.bundle.keyframe_ids)
+    points = lin.bundle.points
     blocks = np.einsum('oij,oik->ojk', lin.by_pose, lin.by_point)
+    lens_blocks = sum_by_point(lin, np.einsum('oij,oik->ojk', lin.by_lens, lin.by_point))
     information = point_information(lin)
     gradient = sum_by_point(lin, np.einsum('oij,oi->oj', lin.by_point, lin.residuals_px))
-    pose_information = _pose_information(lin)
-    pose_gradient = sum_by_keyframe(
-        lin, np.einsum('oij,oi->oj', lin.by_pose, lin.residuals_px)
-    ).ravel()
-    pose_gradient += lin.prior_rows.T @ lin.bundle.prior_residuals_px
+    session_information, session_gradient = _session_equations(lin)
 
     slot = np.full(len(points), -1)
     slot[shared_rows] = np.arange(len(shared_rows))
@@ -52,23 +48,21 @@ def eliminate_by_schur(lin: Linearisation, shared_rows: Ints) -> Elimination:
     for chunk in np.array_split(private_rows, max(1, len(private_rows) // POINTS_PER_CHUNK)):
         if not len(chunk):
             continue
-        coupling, scaled = _whitened_chunk(lin, blocks, information, gradient, chunk)
-        pose_information -= coupling @ coupling.T
-        pose_gradient -= coupling @ scaled
+        coupling, scaled = _whitened_chunk(lin, blocks, lens_blocks, information, gradient, chunk)
+        session_information -= coupling @ coupling.T
+        session_gradient -= coupling @ scaled
         explained += float(scaled @ scaled)
 
     seen = shared_slot >= 0
-    coupling = np.zeros((m, 6, len(shared_rows), 3))
-    coupling[keyframes[seen], :, shared_slot[seen], :] = blocks[seen]
-    coupling = coupling.reshape(6 * m, -1)
+    coupling = _coupling(lin, seen, shared_slot[seen], blocks[seen], lens_blocks[shared_rows])
     try:
-        factor = scipy.linalg.cholesky(pose_information, lower=True, check_finite=False)
+        factor = scipy.linalg.cholesky(session_information, lower=True, check_finite=False)
     except np.linalg.LinAlgError:
         raise DegenerateGeometry(
             f'{len(shared_rows)} shared landmarks do not hold all cameras: share more'
         ) from None
     white = scipy.linalg.solve_triangular(
-        factor, np.column_stack([coupling, pose_gradient]), lower=True, check_finite=False
+        factor, np.column_stack([coupling, session_gradient]), lower=True, check_finite=False
     )
     by_shared, offset = white[:, :-1], white[:, -1]
     shared_information = -by_shared.T @ by_shared
@@ -86,25 +80,39 @@ def eliminate_by_schur(lin: Linearisation, shared_rows: Ints) -> Elimination:
     )
 
 
-def _pose_information(lin: Linearisation) -> Floats:
-    """Dense (6m, 6m) information of the poses with all points held fixed."""
+def _session_equations(lin: Linearisation) -> tuple[Floats, Floats]:
+    """Dense information and gradient (6m + 7 l) of poses and lenses, all points held fixed."""
     m = len(lin.bundle.keyframe_ids)
-    information = np.zeros((m, 6, m, 6))
+    poses = np.zeros((m, 6, m, 6))
     every = np.arange(m)
-    information[every, :, every, :] = sum_by_keyframe(
+    poses[every, :, every, :] = sum_by_keyframe(
         lin, np.einsum('oij,oik->ojk', lin.by_pose, lin.by_pose)
     )
-    return information.reshape(6 * m, 6 * m) + lin.prior_rows.T @ lin.prior_rows
+    crossed = sum_by_keyframe(lin, np.einsum('oij,oik->ojk', lin.by_pose, lin.by_lens))
+    crossed = crossed.reshape(6 * m, lin.bundle.lens.size)
+    by_lens = lin.by_lens.reshape(lin.residuals_px.size, lin.bundle.lens.size)
+    rows = lin.known_rows
+    information = np.block(
+        [[poses.reshape(6 * m, 6 * m), crossed], [crossed.T, by_lens.T @ by_lens]]
+    )
+    gradient = np.concatenate(
+        [
+            sum_by_keyframe(lin, np.einsum('oij,oi->oj', lin.by_pose, lin.residuals_px)).ravel(),
+            by_lens.T @ lin.residuals_px.ravel(),
+        ]
+    )
+    return information + rows.T @ rows, gradient + rows.T @ lin.known_residuals_px
 
 
 def _whitened_chunk(
     lin: Linearisation,
     blocks: Floats,
+    lens_blocks: Floats,
     information: Floats,
     gradient: Floats,
     chunk: Ints,
 ) -> tuple[Floats, Floats]:
-    """Coupling (6m, 3c) and gradient (3c,) of some points, scaled to unit information."""
+    """Coupling (6m + 7 l, 3c) and gradient (3c,) of some points, scaled to unit information."""
     slot = np.full(len(information), -1)
     slot[chunk] = np.arange(len(chunk))
     slots = slot[lin.bundle.observation_points]
@@ -115,8 +123,26 @@ def _whitened_chunk(
         raise DegenerateGeometry(
             'a point is not determined by its observations: all rays are parallel'
         ) from None
-    coupling = np.zeros((len(lin.bundle.keyframe_ids), 6, len(chunk), 3))
-    white_blocks = blocks[seen] @ whiten[slots[seen]].transpose(0, 2, 1)
-    coupling[lin.bundle.observation_keyframes[seen], :, slots[seen], :] = white_blocks
+    turned = whiten.transpose(0, 2, 1)
+    coupling = _coupling(
+        lin, seen, slots[seen], blocks[seen] @ turned[slots[seen]], lens_blocks[chunk] @ turned
+    )
     scaled = np.einsum('cij,cj->ci', whiten, gradient[chunk])
-    return coupling.reshape(-1, 3 * len(chunk)), scaled.ravel()
+    return coupling, scaled.ravel()
+
+
+def _coupling(
+    lin: Linearisation, seen: Mask, slots: Ints, blocks: Floats, lens_blocks: Floats
+) -> Floats:
+    """
+    Coupling (6m + 7 l, 3k) of k points with poses and lenses.
+
+    `seen` (o,) are their observations, `slots` and `blocks` (s, 6, 3) are of those;
+    `lens_blocks` (k, 7 l, 3) are of the points.
+    """
+    m, k = len(lin.bundle.keyframe_ids), len(lens_blocks)
+    coupling = np.zeros((lin.session_size, k, 3))
+    poses = coupling[: 6 * m].reshape(m, 6, k, 3)
+    poses[lin.bundle.observation_keyframes[seen], :, slots, :] = blocks
+    coupling[6 * m :] = lens_blocks.transpose(1, 0, 2)
+    return coupling.reshape(lin.session_size, 3 * k)

@@ -8,18 +8,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Ids, Ints
+from mapmerge_ros.arrays import Floats, Ids, Ints, Mask
 from mapmerge_ros.bundle.bundle import Bundle
 from mapmerge_ros.bundle.elimination import point_information
 from mapmerge_ros.bundle.linearise import linearise
+from mapmerge_ros.bundle.quality import TrackQuality, good_tracks
 
 
-def matched(bundles: Sequence[Bundle], cap: int | None = None) -> tuple[Ids, ...]:
+def matched(
+    bundles: Sequence[Bundle], cap: int | None = None, quality: TrackQuality | None = None
+) -> tuple[Ids, ...]:
     """
     Point ids of each bundle that another bundle has too; ids mean the same to all of them.
 
     With `cap`, at most so many in each bundle: those in most bundles first, then those with
     most observations, then by id. A point is taken for at least two bundles or for none.
+    With `quality`, only good tracks, see `good_tracks`; areas are those of the common points.
     """
     ids, slots = np.unique(
         np.concatenate([bundle.point_ids for bundle in bundles]), return_inverse=True
@@ -31,6 +35,8 @@ def matched(bundles: Sequence[Bundle], cap: int | None = None) -> tuple[Ids, ...
     for k, (bundle, own) in enumerate(zip(bundles, slots_of, strict=True)):
         owners[k, own] = True
         views[own] += _track_lengths(bundle)
+    if quality:
+        _drop_bad(owners, bundles, slots_of, quality)
     shared = owners.sum(axis=0)
     ranking = np.lexsort((ids, -views, -shared))
     ranking = ranking[shared[ranking] >= 2]
@@ -44,10 +50,26 @@ def matched(bundles: Sequence[Bundle], cap: int | None = None) -> tuple[Ids, ...
     return tuple(ids[row] for row in taken)
 
 
-def best_tracks(bundle: Bundle, count: int) -> Ids:
-    """Ids of the longest tracks; of equally long ones the better determined, then by id."""
-    order = np.lexsort((bundle.point_ids, _variances(bundle), -_track_lengths(bundle)))
+def best_tracks(bundle: Bundle, count: int, quality: TrackQuality | None = None) -> Ids:
+    """
+    Ids of the longest tracks; of equally long ones the better determined, then by id.
+
+    With `quality`, good tracks come before all others.
+    """
+    rows = np.arange(len(bundle.point_ids))
+    bad = ~good_tracks(bundle, rows, quality) if quality else np.zeros(len(rows), np.bool_)
+    order = np.lexsort((bundle.point_ids, _variances(bundle), -_track_lengths(bundle), bad))
     return np.sort(bundle.point_ids[order[:count]])
+
+
+def _drop_bad(
+    owners: Mask, bundles: Sequence[Bundle], slots_of: Sequence[Ints], quality: TrackQuality
+) -> None:
+    """Take ownership (bundles, ids) of what several bundles have from those that see it badly."""
+    common = owners.sum(axis=0) >= 2
+    for k, (bundle, own) in enumerate(zip(bundles, slots_of, strict=True)):
+        rows = np.flatnonzero(common[own])
+        owners[k, own[rows]] = good_tracks(bundle, rows, quality)
 
 
 def _track_lengths(bundle: Bundle) -> Ints:

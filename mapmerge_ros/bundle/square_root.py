@@ -4,7 +4,7 @@
 Elimination by QR in blocks: for sessions whose normal equations are too ill-conditioned.
 
 Each point is rotated out of its own rows, the remaining rows are collected in one triangle of
-the poses, and that triangle meets the shared points: no matrix is ever squared.
+poses and lenses, and that triangle meets the shared points: no matrix is ever squared.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from mapmerge_ros.geometry import gauge_basis
 from mapmerge_ros.submap import factor_root, triangulate
 
 ROWS_PER_CHUNK = 4096
-"""Rows collected before the triangle of the poses absorbs them."""
+"""Rows collected before the triangle of poses and lenses absorbs them."""
 
 
 def eliminate_by_qr(lin: Linearisation, shared_rows: Ints) -> Elimination:
@@ -33,28 +33,28 @@ def eliminate_by_qr(lin: Linearisation, shared_rows: Ints) -> Elimination:
         The shared landmarks leave a camera free, or are not determined themselves.
 
     """
-    poses, k = 6 * len(lin.bundle.keyframe_ids), len(shared_rows)
+    session, k = lin.session_size, len(shared_rows)
     is_shared = np.zeros(len(lin.bundle.point_ids), bool)
     is_shared[shared_rows] = True
-    triangle = _Triangle(poses)
-    triangle.absorb(lin.prior_rows, lin.bundle.prior_residuals_px)
+    triangle = _Triangle()
+    triangle.absorb(lin.known_rows, lin.known_residuals_px)
     heads: dict[int, tuple[Floats, Floats, Floats]] = {}
     for row, observations in enumerate(_observations_by_point(lin)):
-        head, (pose_rows, rest) = _rotate_point_out(lin, observations)
-        triangle.absorb(pose_rows, rest)
+        head, (session_rows, rest) = _rotate_point_out(lin, observations)
+        triangle.absorb(session_rows, rest)
         if is_shared[row]:
             heads[row] = head
-    pose_root, pose_vector, a2 = triangle.finish()
+    session_root, session_vector, a2 = triangle.finish()
 
     shared_root = np.zeros((3 * k, 3 * k))
-    shared_poses, shared_vector = np.zeros((3 * k, poses)), np.zeros(3 * k)
+    shared_session, shared_vector = np.zeros((3 * k, session)), np.zeros(3 * k)
     for slot, row in enumerate(shared_rows):
         at = slice(3 * slot, 3 * slot + 3)
-        shared_root[at, at], shared_poses[at], shared_vector[at] = heads[int(row)]
-    top, below = _eliminate_poses(
-        np.vstack([pose_root, shared_poses]),
-        np.vstack([np.zeros((len(pose_root), 3 * k)), shared_root]),
-        np.concatenate([pose_vector, shared_vector]),
+        shared_root[at, at], shared_session[at], shared_vector[at] = heads[int(row)]
+    top, below = _eliminate_session(
+        np.vstack([session_root, shared_session]),
+        np.vstack([np.zeros((len(session_root), 3 * k)), shared_root]),
+        np.concatenate([session_vector, shared_vector]),
     )
     r, c = factor_root(
         below[:, :-1],
@@ -79,15 +79,20 @@ def _rotate_point_out(
     blocks = np.zeros((len(observations), 2, len(lin.bundle.keyframe_ids), 6))
     blocks[np.arange(len(observations)), :, keyframes, :] = lin.by_pose[observations]
     rotation, root = np.linalg.qr(lin.by_point[observations].reshape(-1, 3), mode='complete')
-    rows = rotation.T @ blocks.reshape(2 * len(observations), -1)
+    by_session = np.concatenate(
+        [blocks.reshape(len(observations), 2, -1), lin.by_lens[observations]], axis=2
+    )
+    rows = rotation.T @ by_session.reshape(2 * len(observations), -1)
     residuals = rotation.T @ lin.residuals_px[observations].ravel()
     return (root[:3], rows[:3], residuals[:3]), (rows[3:], residuals[3:])
 
 
-def _eliminate_poses(by_pose: Floats, by_shared: Floats, vector: Floats) -> tuple[Floats, Floats]:
-    """Pose steps as a function of [shared | 1], and the rows [shared | 1] free of the poses."""
-    rotation, root = np.linalg.qr(by_pose, mode='complete')
-    count = by_pose.shape[1]
+def _eliminate_session(
+    by_session: Floats, by_shared: Floats, vector: Floats
+) -> tuple[Floats, Floats]:
+    """Steps of poses and lenses as a function of [shared | 1], and the rows free of them."""
+    rotation, root = np.linalg.qr(by_session, mode='complete')
+    count = by_session.shape[1]
     pivots = np.abs(np.diag(root[:count]))
     if len(root) < count or pivots.min() <= 1e-14 * pivots.max():
         raise DegenerateGeometry('the shared landmarks do not hold all cameras: share more')
@@ -96,10 +101,9 @@ def _eliminate_poses(by_pose: Floats, by_shared: Floats, vector: Floats) -> tupl
 
 
 class _Triangle:
-    """Triangle of the poses that absorbs rows in chunks."""
+    """Triangle of poses and lenses that absorbs rows in chunks."""
 
-    def __init__(self, columns: int) -> None:
-        self._columns = columns
+    def __init__(self) -> None:
         self._rows: list[Floats] = []
         self._vectors: list[Floats] = []
         self._pending = 0
@@ -113,7 +117,7 @@ class _Triangle:
             self._reduce()
 
     def finish(self) -> tuple[Floats, Floats, float]:
-        """Triangle, its right-hand side, and the sum of squares that no pose can explain."""
+        """Triangle, its right-hand side, and the sum of squares that no session explains."""
         self._reduce()
         return self._rows[0], self._vectors[0], self._left_over
 

@@ -9,7 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mapmerge_ros.arrays import Ids
-from mapmerge_ros.bundle import Bundle, MapName, compress
+from mapmerge_ros.bundle import Bundle, MapName, compress, with_lens_prior
+from mapmerge_ros.bundle.lens_prior import MIN_KEYFRAMES
+from mapmerge_ros.bundle.quality import TrackQuality
 from mapmerge_ros.bundle.selection import best_tracks, matched
 from mapmerge_ros.cli import console, models, options
 from mapmerge_ros.cli.options import Subparsers, UsageError
@@ -21,6 +23,9 @@ from mapmerge_ros.submap import SubMap
 
 DEFAULT_TRACKS = 100
 """Landmarks of a single model: 184 kB; above about 114, R is larger than the observations."""
+
+DEFAULT_LENS_PRIOR_PX = 0.12
+"""What calibrations leave open; above 1 px the single linear step is no longer safe."""
 
 _NO_COMMON_IDS = (
     '--landmarks matched: the ids of separate models mean nothing to each other; '
@@ -51,6 +56,21 @@ def add_parser(subparsers: Subparsers) -> None:
         help='which points to compress: those that another model has too (default for several '
         f'models), the N longest tracks (default for one: {DEFAULT_TRACKS}), or all',
     )
+    add(
+        '--all-tracks',
+        action='store_true',
+        help='choose bad tracks as well: those with larger residuals than two thirds of their '
+        'session, and than four of their twelve neighbours',
+    )
+    add(
+        '--lens-prior',
+        type=options.non_negative,
+        default=DEFAULT_LENS_PRIOR_PX,
+        metavar='PX',
+        help='how well each of seven lens parameters is known, as root-mean-square displacement '
+        'in the image; R then leaves open how the lens may bend the map; 0 = exactly; needs '
+        'images that share a camera (default: %(default)s)',
+    )
     add('--no-catalogue', action='store_true', help='leave out what is not compressed')
     parser.set_defaults(run=run)
 
@@ -63,7 +83,11 @@ def run(args: argparse.Namespace) -> int:
     names = models.map_names(args)
     check_file(args.out, '.mcap')
     bundles = models.load(args)
-    chosen = choose(bundles, wanted, args.max_landmarks)
+    chosen = choose(bundles, wanted, args.max_landmarks, not args.all_tracks)
+    bundles = [
+        with_uncertain_lens(bundle, name, args.lens_prior)
+        for bundle, name in zip(bundles, names, strict=True)
+    ]
     work = zip(bundles, names, chosen, strict=True)
     submaps = [
         compress_or_announce(bundle, name, ids, catalogue=not args.no_catalogue)
@@ -77,13 +101,26 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def choose(bundles: Sequence[Bundle], wanted: str | int, cap: int) -> tuple[Ids, ...]:
+def choose(
+    bundles: Sequence[Bundle], wanted: str | int, cap: int, good_only: bool = True
+) -> tuple[Ids, ...]:
     """Ids of the points to compress, per bundle."""
+    quality = TrackQuality() if good_only else None
     if wanted == 'matched':
-        return matched(bundles, cap)
+        return matched(bundles, cap, quality)
     if wanted == 'all':
         return tuple(bundle.point_ids for bundle in bundles)
-    return tuple(best_tracks(bundle, int(wanted)) for bundle in bundles)
+    return tuple(best_tracks(bundle, int(wanted), quality) for bundle in bundles)
+
+
+def with_uncertain_lens(bundle: Bundle, name: MapName, prior_px: float) -> Bundle:
+    """Return the bundle with its lens known to `prior_px`, or as it is if that means nothing."""
+    uncertain = with_lens_prior(bundle, prior_px)
+    if prior_px and not uncertain.lens.size:
+        console.warn(
+            f'{name.map_id}: lens taken as exact: no camera is shared by {MIN_KEYFRAMES} images'
+        )
+    return uncertain
 
 
 def compress_or_announce(

@@ -53,6 +53,14 @@ def positive(text: str) -> float:
     return value
 
 
+def non_negative(text: str) -> float:
+    """Finite number from 0."""
+    value = _number(text)
+    if not (math.isfinite(value) and value >= 0.0):
+        raise argparse.ArgumentTypeError(f'{text!r} is not a number from 0')
+    return value
+
+
 def probability(text: str) -> float:
     """Number between 0 and 1, both excluded."""
     value = _number(text)
