@@ -20,7 +20,7 @@ from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.search import search
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue, track_ids
-from mapmerge_ros.fusion.verify import Noise, degrees_of_freedom, pool_noise, verify
+from mapmerge_ros.fusion.verify import Noise, degrees_of_freedom, pool_noise, verify, verify_merge
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import Source, SubMap, pack
 
@@ -45,9 +45,10 @@ class Anchor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solution:
-    """Every landmark and frame of the component, in the global frame."""
+    """Every landmark and frame of the component, in the global frame; `reduced` as merged."""
 
     elements: tuple[Element, ...]
+    reduced: tuple[Element, ...]
     points: Floats
     placements: tuple[Placement, ...]
     estimate: Estimate
@@ -81,14 +82,17 @@ def merge_component(
             submaps, association, is_shared, links, noise, gauge, dof, anchor, config
         )
     with stopwatch.measure('test'):
-        verdict = verify(solution.estimate.cost, dof, noise, config)
+        verdict, examination = verify_merge(
+            solution.reduced, solution.estimate, links, gauge, dof, noise, config
+        )
     with stopwatch.measure('compress'):
-        return _compress(submaps, association, solution, noise, verdict, anchor, config, revision)
+        part = _compress(submaps, association, solution, noise, verdict, anchor, config, revision)
+    return replace(part, component=replace(part.component, examination=examination))
 
 
 def choose_anchor(submaps: Sequence[SubMap], gauge: Gauge) -> Anchor:
     """Return the oldest sub-map among those whose frame means most."""
-    eligible = [submap for submap in submaps if submap.gauge == gauge]
+    eligible = (submap for submap in submaps if submap.gauge == gauge)
     oldest = min(eligible, key=lambda submap: (submap.stamp_ns, submap.map_id))
     return Anchor(oldest.map_id, Similarity.identity())
 
@@ -129,7 +133,7 @@ def _solve(
     held = [submap.map_id for submap in submaps].index(anchor.map_id)
     points = (anchor.S_global_map @ elements[held].place(points).S_map_global).apply(points)
     placements = tuple(element.place(points) for element in elements)
-    return _Solution(elements, points, placements, estimate)
+    return _Solution(elements, tuple(reduced), points, placements, estimate)
 
 
 def _compress(

@@ -17,7 +17,7 @@ import scipy.linalg
 import scipy.sparse
 import scipy.spatial.distance
 
-from mapmerge_ros.arrays import Floats, Ints, Mask
+from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.quadratic import Quadratic
@@ -52,7 +52,7 @@ class Contrasts:
     @property
     def dof(self) -> int:
         """Differences less what frames explain."""
-        return len(self.differences) - self.frames.shape[1]
+        return int(self.differences.size - self.frames.shape[1])
 
     def covariance(self, variances: Floats) -> Floats:
         """V (3t, 3t) for variances (3,) of noise, ground floor and smooth field."""
@@ -68,13 +68,15 @@ class Contrasts:
         """Derivative of V by each variance, times a vector (3t,): (3, 3t)."""
         smooth = (self.smooth @ vector.reshape(-1, 3)).ravel()
         scale = np.array([[1.0], [self.unit**2], [self.unit**2]])
-        return scale * np.array([self.noise @ vector, vector, smooth])
+        parts: Floats = scale * np.array([self.noise @ vector, vector, smooth])
+        return parts
 
     def traces(self, precision: Floats) -> Floats:
         """Trace of P times the derivative of V by each variance: (3,)."""
         by_axis = sum(float(np.vdot(precision[k::3, k::3], self.smooth)) for k in range(3))
         scale = np.array([1.0, self.unit**2, self.unit**2])
-        return scale * [np.vdot(precision, self.noise), np.trace(precision), by_axis]
+        traces: Floats = scale * [np.vdot(precision, self.noise), np.trace(precision), by_axis]
+        return traces
 
     def columns(self, members: Ints) -> Floats:
         """What displacements of some members (m,) do to the differences: (3t, 3m)."""
@@ -100,15 +102,17 @@ class Contrasts:
         both = np.column_stack([self.frames, self.columns(members)])
         return replace(self, frames=np.linalg.qr(both)[0])
 
-    def of_tracks(self, kept: Mask) -> Contrasts:
-        """Contrasts of some tracks only (mask over all tracks)."""
-        rows = np.flatnonzero(kept[self.tracks])
+    def thinned(self, at_most: int) -> Contrasts:
+        """Contrasts of every n-th track only."""
+        rows = _spread(self.tracks, at_most)
+        if len(rows) == len(self.tracks):
+            return self
         at = coordinates(rows)
         helmert = self.from_members[rows]
         return Contrasts(
             helmert,
             self.tracks[rows],
-            np.where(kept[self.owners] & (self.owners >= 0), self.owners, -1),
+            np.where(np.isin(self.owners, self.tracks[rows]), self.owners, -1),
             self.differences[at],
             self.noise[np.ix_(at, at)],
             self.smooth[np.ix_(rows, rows)],
@@ -118,9 +122,9 @@ class Contrasts:
         )
 
 
-def contrasts(merge: Quadratic) -> Contrasts:
+def contrasts(merge: Quadratic, at_most: int) -> Contrasts:
     """
-    Contrasts of a merge.
+    Contrasts of a merge, of every n-th track if there are more than `at_most`.
 
     Raises
     ------
@@ -130,6 +134,8 @@ def contrasts(merge: Quadratic) -> Contrasts:
     """
     members = merge.members
     helmert, tracks = _helmert(members.tracks, merge.views)
+    rows = _spread(tracks, at_most)
+    helmert, tracks = helmert[rows], tracks[rows]
     count = 3 * len(tracks)
     radius = scene_radius(merge.points)
     differences, noise = np.zeros(count), np.zeros((count, count))
@@ -155,7 +161,7 @@ def contrasts(merge: Quadratic) -> Contrasts:
     return Contrasts(
         from_members=helmert,
         tracks=tracks,
-        owners=np.where(merge.views[members.tracks] > 1, members.tracks, -1),
+        owners=np.where(np.isin(members.tracks, tracks), members.tracks, -1),
         differences=differences,
         noise=noise,
         smooth=smooth,
@@ -163,6 +169,13 @@ def contrasts(merge: Quadratic) -> Contrasts:
         unit=unit,
         pairs=_pairs(helmert),
     )
+
+
+def _spread(tracks: Ints, at_most: int) -> Ints:
+    """Rows of every n-th track, so that they are spread like all of them."""
+    unique = np.unique(tracks)
+    every = max(1, -(-len(tracks) // at_most))
+    return np.flatnonzero(np.isin(tracks, unique[::every]))
 
 
 def scene_radius(points: Floats) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse
 import scipy.stats
 
-from mapmerge_ros.arrays import Floats, Ints, Mask
+from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.contrasts import Contrasts
 from mapmerge_ros.fusion.likelihood import Weighing, derivatives, step, weigh
 from mapmerge_ros.fusion.local import Sensitivity
@@ -25,11 +25,24 @@ from mapmerge_ros.fusion.tails import Tails, fit_tails
 TRIM = float(scipy.stats.chi2.isf(1e-3, 3))
 """Statistic beyond which a landmark has no say in the fit: of Gaussian ones, one in a thousand."""
 
+MOST_ASIDE = 0.25
+"""Share of the tracks that may be set aside: what is left has to be the rule."""
+
 KEEP_TRIMMED = 0.8
 """Share of `TRIM` below which a landmark gets its say back; less than 1, or it goes in circles."""
 
 MAX_STEPS, SETTLED = 12, 0.02
 """Steps, and the relative change below which they end: a tenth of the fit's own uncertainty."""
+
+TRIM_ROUNDS = 4
+"""Times that the landmarks set aside are chosen anew; two are usual."""
+
+LARGEST_TAIL = 150.0
+"""
+Statistic beyond which a landmark says nothing about tails: it has moved, or is a wrong match.
+
+The largest of an unmoved landmark of EuRoC and Caliterra is 128.
+"""
 
 COARSE_CONTRASTS, FINE_CONTRASTS, FINE_STEPS = 200, 400, 2
 """
@@ -37,6 +50,10 @@ Contrasts on which the fit walks most of its way, up to which it then uses all, 
 
 Three variances need no more: 600 differences give φ to 6 %. The cost goes with the cube.
 """
+
+
+TEXTBOOK = np.array([1.0, 0.0, 0.0])
+"""Variances of sub-maps that are what they claim."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +66,11 @@ class CovarianceModel:
     """Typical standard deviation of a difference [map units]"""
     tails: Tails
     steps: int
+
+    @property
+    def is_textbook(self) -> bool:
+        """Whether the sub-maps are believed to the letter."""
+        return bool(np.array_equal(self.variances, TEXTBOOK))
 
     @property
     def phi(self) -> float:
@@ -66,30 +88,71 @@ class CovarianceModel:
         return float(self.unit * np.sqrt(self.variances[2]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A model with what it was fitted to."""
+
+    model: CovarianceModel
+    aside: Ints
+    """Members too far off to have a say, one of a track at most"""
+    statistics: Floats
+    """(tracks,) of the worst member of each track, those aside given each other"""
+    gain: float
+    """Log-likelihood over that of the textbook: φ = 1, τ = ω = 0"""
+    price: float
+    """Of what is neither moved nor aside, χ²(dof) if the variances are right"""
+    dof: int
+
+
 def fit_model(
-    data: Contrasts, highest: Floats, moved: Ints
-) -> tuple[CovarianceModel, Ints]:
+    data: Contrasts, highest: Floats, moved: Ints, start: Floats | None = None
+) -> Fitted:
     """
     Fit φ, τ, ω within `highest` (3,), and the tails; `moved` members (objects) have no say.
 
-    Returns the model and the members that had none either, being too far off: one of a track at
-    most. First on some of the tracks, then on all of them.
+    First on some of the tracks, then on all of them.
+
+    Raises
+    ------
+    DegenerateGeometry
+        The differences have no definite covariance.
+
     """
-    variances = np.minimum([1.0, 0.1, 0.1], highest)
-    few = _some(data)
-    variances, aside, taken = _iterate(data.of_tracks(few), variances, highest, moved, MAX_STEPS)
-    if not few[data.tracks].all() and len(data.tracks) <= FINE_CONTRASTS:
+    variances = np.minimum([1.0, 0.1, 0.1] if start is None else start, highest)
+    coarse = data.thinned(COARSE_CONTRASTS)
+    variances, aside, taken = _iterate(coarse, variances, highest, moved, MAX_STEPS)
+    if coarse is not data and len(data.tracks) <= FINE_CONTRASTS:
         variances, aside, more = _iterate(data, variances, highest, moved, FINE_STEPS)
         taken += more
-    weighing = weigh(data.blind_to(moved), variances)
-    aside, statistics = _trimmed(data, weighing, aside, moved)
-    tails = fit_tails(statistics, TRIM)
-    return CovarianceModel(variances, data.unit, tails, taken), aside
+    return settled(data, variances, moved, aside, taken)
 
 
-def model_sensitivity(
-    merge: Quadratic, data: Contrasts, model: CovarianceModel
-) -> Sensitivity:
+def settled(
+    data: Contrasts, variances: Floats, moved: Ints, aside: Ints, steps: int = 0
+) -> Fitted:
+    """Everything that follows once the variances are given; `aside` is where trimming starts."""
+    moved = moved[data.owners[moved] >= 0]
+    blind = data.blind_to(moved)
+    weighing = weigh(blind, variances)
+    for _ in range(TRIM_ROUNDS):
+        before = aside
+        aside, statistics = _trimmed(blind, weighing, aside, moved)
+        if np.array_equal(before, aside):
+            break
+    rest = weighing.unlocked(blind, aside)
+    textbook = weigh(blind, TEXTBOOK).unlocked(blind, aside)
+    model = CovarianceModel(variances, data.unit, fit_tails(statistics, LARGEST_TAIL), steps)
+    return Fitted(
+        model,
+        aside,
+        statistics,
+        gain=rest.log_likelihood - textbook.log_likelihood,
+        price=rest.price(data),
+        dof=blind.dof - 3 * len(aside),
+    )
+
+
+def model_sensitivity(merge: Quadratic, data: Contrasts, model: CovarianceModel) -> Sensitivity:
     """Local tests under the fitted covariance: s = C'P w, J = C'P C."""
     weighing = weigh(data, model.variances)
     spread = scipy.sparse.kron(data.from_members, np.eye(3), format='csc')
@@ -109,22 +172,14 @@ def model_sensitivity(
     )
 
 
-def _some(data: Contrasts) -> Mask:
-    """Tracks of the coarse fit: every n-th, so that they are spread like all of them."""
-    unique = np.unique(data.tracks)
-    every = max(1, -(-len(data.tracks) // COARSE_CONTRASTS))
-    kept = np.zeros(int(data.tracks.max()) + 1, bool)
-    kept[unique[::every]] = True
-    return kept
-
-
 def _iterate(
     data: Contrasts, variances: Floats, highest: Floats, moved: Ints, steps: int
 ) -> tuple[Floats, Ints, int]:
     moved = moved[data.owners[moved] >= 0]
     blind = data.blind_to(moved)
-    aside = np.zeros(0, np.int64)
-    for taken in range(1, steps + 1):
+    aside, taken = np.zeros(0, np.int64), 0
+    while taken < steps:
+        taken += 1
         weighing = weigh(blind, variances)
         before = aside
         aside, _ = _trimmed(blind, weighing, aside, moved)
@@ -137,9 +192,7 @@ def _iterate(
     return variances, aside, taken
 
 
-def _trimmed(
-    data: Contrasts, weighing: Weighing, aside: Ints, moved: Ints
-) -> tuple[Ints, Floats]:
+def _trimmed(data: Contrasts, weighing: Weighing, aside: Ints, moved: Ints) -> tuple[Ints, Floats]:
     """
     Members to set aside, starting from those that are; and the statistic of each track.
 
@@ -156,7 +209,10 @@ def _trimmed(
     order = np.lexsort((statistics, data.owners))
     is_last = np.append(np.diff(data.owners[order]) > 0, True)
     worst = order[is_last & (statistics[order] > 0.0)]
-    return np.sort(worst[statistics[worst] > limits[worst]]), statistics[worst]
+    chosen = worst[statistics[worst] > limits[worst]]
+    most = int(MOST_ASIDE * len(worst))
+    chosen = chosen[np.argsort(-statistics[chosen], kind='stable')][:most]
+    return np.sort(chosen), statistics[worst]
 
 
 def _statistics(data: Contrasts, weighing: Weighing, unlocked: Ints) -> Floats:
@@ -183,6 +239,6 @@ def _given_each_other(data: Contrasts, weighing: Weighing, aside: Ints) -> Float
 
 
 def _squares(vectors: Floats, blocks: Floats) -> Floats:
-    """v' B⁻¹ v for each of (n, 3) and (n, 3, 3)."""
+    """Square v' B⁻¹ v for each of (n, 3) and (n, 3, 3)."""
     solved = np.linalg.solve(blocks, vectors[..., None])[..., 0]
     return np.asarray(np.einsum('si,si->s', vectors, solved))

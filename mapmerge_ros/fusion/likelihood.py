@@ -26,6 +26,8 @@ class Weighing:
     """P (3t, 3t): inverse covariance of the differences, blind to frames"""
     weighted: Floats
     """P w (3t,)"""
+    log_likelihood: float
+    """Restricted; comparable between variances, not between sets of what is unlocked"""
 
     def unlocked(self, data: Contrasts, members: Ints) -> Weighing:
         """Blind to displacements of some members as well: a low rank taken away."""
@@ -36,10 +38,14 @@ class Weighing:
         factor = scipy.linalg.cholesky(columns.T @ seen, lower=True)
         half = scipy.linalg.solve_triangular(factor, seen.T, lower=True)
         white = scipy.linalg.solve_triangular(factor, columns.T @ self.weighted, lower=True)
-        return Weighing(self.precision - half.T @ half, self.weighted - half.T @ white)
+        return Weighing(
+            self.precision - half.T @ half,
+            self.weighted - half.T @ white,
+            self.log_likelihood + 0.5 * float(white @ white) - _log_det(factor),
+        )
 
     def price(self, data: Contrasts) -> float:
-        """w'P w, χ²(dof) if the variances are right."""
+        """Price w'P w, χ²(dof) if the variances are right."""
         return float(data.differences @ self.weighted)
 
 
@@ -58,6 +64,7 @@ def weigh(data: Contrasts, variances: Floats) -> Weighing:
     )
     if failed:
         raise DegenerateGeometry('the differences of the sub-maps have no definite covariance')
+    log_det = _log_det(factor)
     inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)
     precision = inverse + np.tril(inverse, -1).T
     if data.frames.shape[1]:
@@ -65,7 +72,13 @@ def weigh(data: Contrasts, variances: Floats) -> Weighing:
         inner = scipy.linalg.cholesky(data.frames.T @ seen, lower=True)
         half = scipy.linalg.solve_triangular(inner, seen.T, lower=True)
         precision -= half.T @ half
-    return Weighing(precision, precision @ data.differences)
+        log_det += _log_det(inner)
+    weighted = precision @ data.differences
+    return Weighing(precision, weighted, -log_det - 0.5 * float(data.differences @ weighted))
+
+
+def _log_det(factor: Floats) -> float:
+    return float(np.log(np.diag(factor)).sum())
 
 
 def derivatives(data: Contrasts, weighing: Weighing) -> tuple[Floats, Floats]:
