@@ -8,6 +8,7 @@ import scipy.stats
 from gaussian_merges import draw, merged, noise, scene
 
 from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion.conditional import conditional_tests
 from mapmerge_ros.fusion.local import forward_selection, local_tests, sensitivity
 from mapmerge_ros.geometry import Gauge, gauge_basis
 
@@ -57,6 +58,19 @@ def test_tests_after_unlocking_are_those_of_the_refit(gauge):
     np.testing.assert_allclose(state.price, before, rtol=1e-8)
     np.testing.assert_allclose(tests.statistic[member], before - after, rtol=1e-6)
     np.testing.assert_allclose(tests.displacement[member], displacements[-1], rtol=1e-6)
+
+
+def test_members_that_are_off_are_tested_given_each_other():
+    merge = draw(2, views=(2, 4))
+    off = np.array([3, 90, 17])
+    tests = conditional_tests(sensitivity(merge), off)
+    everything, displacements = refit(merge, off)
+    np.testing.assert_allclose(tests.displacement[off], displacements, rtol=1e-6)
+    for slot, member in enumerate(off):
+        without, _ = refit(merge, np.delete(off, slot))
+        np.testing.assert_allclose(tests.statistic[member], without - everything, rtol=1e-6)
+    other, _ = refit(merge, [*off, 60])
+    np.testing.assert_allclose(tests.statistic[60], everything - other, rtol=1e-6)
 
 
 def test_the_covariance_of_a_displacement_is_that_of_the_refit():

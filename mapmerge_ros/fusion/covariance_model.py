@@ -136,16 +136,16 @@ def settled(
     weighing = weigh(blind, variances)
     for _ in range(TRIM_ROUNDS):
         before = aside
-        aside, statistics = _trimmed(blind, weighing, aside, moved)
+        aside, worst = _trimmed(blind, weighing, aside, moved)
         if np.array_equal(before, aside):
             break
     rest = weighing.unlocked(blind, aside)
     textbook = weigh(blind, TEXTBOOK).unlocked(blind, aside)
-    model = CovarianceModel(variances, data.unit, fit_tails(statistics, LARGEST_TAIL), steps)
+    model = CovarianceModel(variances, data.unit, fit_tails(worst, LARGEST_TAIL), steps)
     return Fitted(
         model,
         aside,
-        statistics,
+        worst,
         gain=rest.log_likelihood - textbook.log_likelihood,
         price=rest.price(data),
         dof=blind.dof - 3 * len(aside),

@@ -16,6 +16,7 @@ import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion.conditional import conditional_tests
 from mapmerge_ros.fusion.contrasts import Contrasts, contrasts, scene_radius
 from mapmerge_ros.fusion.covariance_model import (
     LARGEST_TAIL,
@@ -27,7 +28,13 @@ from mapmerge_ros.fusion.covariance_model import (
     settled,
 )
 from mapmerge_ros.fusion.local import LocalTests, Sensitivity, sensitivity, tail
-from mapmerge_ros.fusion.objects import LEAST_STATISTIC, MovedObject, common_motion, find_objects
+from mapmerge_ros.fusion.objects import (
+    LEAST_STATISTIC,
+    LEAST_WITHOUT_LOUDEST,
+    MovedObject,
+    common_motion,
+    find_objects,
+)
 from mapmerge_ros.fusion.quadratic import Quadratic
 from mapmerge_ros.fusion.tails import GAUSSIAN, are_gaussian
 
@@ -86,9 +93,13 @@ class Examination:
     aside: Ints
     """Members beyond all else, one of a track at most"""
     tests: LocalTests | None
-    """Of every member by itself, p-values under the model; None in a very large merge"""
+    """
+    Of every member, p-values under the model, given that objects and what is aside are off.
+
+    None in a very large merge.
+    """
     textbook_tests: LocalTests | None
-    """The same, every sub-map believed to the letter"""
+    """Every sub-map believed to the letter, all members locked"""
     price: float
     """Of what is neither an object nor aside, under the model"""
     dof: int
@@ -162,7 +173,7 @@ def _under_model(
         fitted = _fit(data, highest, _members(objects), fitted.model.variances)
         state = _state(merge, data, textbook, fitted)
         objects = _confirmed(state, objects, fitted.model)
-    tests = state.tests()
+    tests = conditional_tests(state, np.union1d(_members(objects), fitted.aside))
     p_values = fitted.model.tails.p_value(tests.statistic, state.redundancy)
     return replace(
         _judged(fitted, state.redundancy),
@@ -197,7 +208,8 @@ def _confirmed(
         others = [other.members for other in suspects if other is not moved]
         rest = state.unlock(np.concatenate(others)) if others else state
         again = common_motion(rest, moved.members)
-        if again.statistic >= LEAST_STATISTIC * model.tails.mean:
+        stands = again.without_loudest >= LEAST_WITHOUT_LOUDEST
+        if stands and again.statistic >= LEAST_STATISTIC * model.tails.mean:
             confirmed.append(again)
     return tuple(confirmed)
 

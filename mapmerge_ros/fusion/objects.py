@@ -22,6 +22,13 @@ Leave-one-out χ²(3) of a common motion from which it is an object, where noise
 p = 1e-8, for hundreds of overlapping neighbourhoods.
 """
 
+LEAST_WITHOUT_LOUDEST = 20.0
+"""
+χ²(3) that must be left without the loudest fifth of the members: two bad tracks are no object.
+
+Suspects of more than five landmarks on unchanged sets have up to 14, moved objects 26 and more.
+"""
+
 MIN_GAIN = 6.0
 """Rise of the statistic for which a landmark enters or leaves an object."""
 
@@ -36,7 +43,9 @@ class MovedObject:
     members: Ints
     """(m,) ascending"""
     statistic: float
-    """χ²(3) of the common displacement, the loudest fifth of the members left out"""
+    """χ²(3) of the common displacement, the least with one member left out"""
+    without_loudest: float
+    """The same with that fifth of the members left out that speaks for it most"""
     displacement: Floats
     """(3,) global map units, of this sub-map's landmarks from where the others see them"""
     covariance: Floats
@@ -65,9 +74,14 @@ def find_objects(state: Sensitivity, points: Floats, least: float) -> tuple[Move
 def common_motion(state: Sensitivity, members: Ints) -> MovedObject:
     """Test of some members of one sub-map having one displacement in common."""
     score, blocks = _parts(state, members[None, :])
-    statistic = _without_loudest(state, members)
     covariance = np.linalg.inv(blocks[0].sum(axis=(0, 1)))
-    return MovedObject(members, statistic, covariance @ score[0].sum(axis=0), covariance)
+    return MovedObject(
+        members,
+        float(_leave_one_out(score, blocks)[0]),
+        _without_loudest(state, members),
+        covariance @ score[0].sum(axis=0),
+        covariance,
+    )
 
 
 def neighbourhood_statistics(state: Sensitivity, points: Floats) -> list[tuple[Floats, Ints]]:
