@@ -39,8 +39,7 @@ LENS_PRIOR_PX = 0.12
 FIRST_PRIVATE_ID = 100_000_000
 """Ids from here on are private: equal ones are different points."""
 
-CHOSEN_ON = ('euroc_v101_maplab', 'caliterra_drone')
-ROOMS = 200
+CHOSEN_ON, ROOMS = ('euroc_v101_maplab', 'caliterra_drone'), 200
 
 UNCHANGED_HEAD = (
     '| set | draw | landmarks | ã/(dof σ²) | φ | τ / radius | ω / radius | ν | p < 0.01 | '

@@ -200,11 +200,10 @@ def _landmarks(
     slots = np.cumsum(~association.nameless) - 1
     names = [submap.map_id for submap in submaps for _ in range(submap.compressed_count)]
     member_ids = np.concatenate([submap.compressed_ids for submap in submaps])
-    variances = np.diag(covariance)
     return Landmarks(
         ids=ids[~association.nameless],
         points_global=points[~association.nameless],
-        std=np.sqrt(np.maximum(variances, 0.0)).reshape(-1, 3)[~association.nameless],
+        std=np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, 3)[~association.nameless],
         member_rows=slots[rows[order]],
         member_maps=tuple(names[int(k)] for k in order),
         member_ids=member_ids[order],
