@@ -26,6 +26,9 @@ SMOOTH_RADII = 0.7
 """Length of the smooth field, in scene radii: a lens that is wrong bends a map over its extent."""
 
 
+NOBODY: Ints = np.zeros(0, np.int64)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Contrasts:
     """Contrasts w (3t,) of the merge with the parts of their covariance, all for unit size."""
@@ -104,7 +107,7 @@ class Contrasts:
 
     def thinned(self, at_most: int) -> Contrasts:
         """Contrasts of every n-th track only."""
-        rows = _spread(self.tracks, at_most)
+        rows = _spread(self.tracks, at_most, NOBODY)
         if len(rows) == len(self.tracks):
             return self
         at = coordinates(rows)
@@ -122,9 +125,11 @@ class Contrasts:
         )
 
 
-def contrasts(merge: Quadratic, at_most: int) -> Contrasts:
+def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contrasts:
     """
     Contrasts of a merge, of every n-th track if there are more than `at_most`.
+
+    Tracks of the members `suspects` (m,) are always in: whether they moved must not go unasked.
 
     Raises
     ------
@@ -134,7 +139,7 @@ def contrasts(merge: Quadratic, at_most: int) -> Contrasts:
     """
     members = merge.members
     helmert, tracks = _helmert(members.tracks, merge.views)
-    rows = _spread(tracks, at_most)
+    rows = _spread(tracks, at_most, members.tracks[suspects])
     helmert, tracks = helmert[rows], tracks[rows]
     count = 3 * len(tracks)
     radius = scene_radius(merge.points)
@@ -171,11 +176,12 @@ def contrasts(merge: Quadratic, at_most: int) -> Contrasts:
     )
 
 
-def _spread(tracks: Ints, at_most: int) -> Ints:
-    """Rows of every n-th track, so that they are spread like all of them."""
-    unique = np.unique(tracks)
-    every = max(1, -(-len(tracks) // at_most))
-    return np.flatnonzero(np.isin(tracks, unique[::every]))
+def _spread(tracks: Ints, at_most: int, always: Ints) -> Ints:
+    """Rows of some tracks, and of every n-th of the others, so that they are spread like all."""
+    others = np.setdiff1d(tracks, always)
+    left = max(at_most - int(np.isin(tracks, always).sum()), at_most // 4)
+    every = max(1, -(-int(np.isin(tracks, others).sum()) // left))
+    return np.flatnonzero(np.isin(tracks, np.union1d(others[::every], always)))
 
 
 def scene_radius(points: Floats) -> float:

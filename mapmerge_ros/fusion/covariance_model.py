@@ -169,6 +169,8 @@ def model_sensitivity(merge: Quadratic, data: Contrasts, model: CovarianceModel)
         columns=lambda chosen: half @ data.columns(chosen),
         price=weighing.price(data),
         dof=data.dof,
+        # Of tracks that are not in the sample nothing is known.
+        unlocked=data.owners < 0,
     )
 
 

@@ -161,7 +161,7 @@ def _by_textbook(merge: Quadratic, redundancy: float) -> Examination:
 def _under_model(
     merge: Quadratic, textbook: Sensitivity | None, suspects: tuple[MovedObject, ...]
 ) -> Examination:
-    data = contrasts(merge, MAX_CONTRASTS)
+    data = contrasts(merge, MAX_CONTRASTS, _members(suspects))
     radii = MAX_OMEGA_RADII * scene_radius(merge.points) / data.unit
     highest = np.array([MAX_PHI, MAX_TAU_UNITS**2, radii**2])
     fitted = _fit(data, highest, _members(suspects))
