@@ -67,7 +67,7 @@ def show_matches(
                 screen.print(f'{row.a} – {row.b} {decision}: {reason}', soft_wrap=True)
         if len(rows) < len(matches):
             hidden = len(matches) - len(rows)
-            screen.print(f'{hidden} more pairs, none of them better: --all-pairs shows them.')
+            screen.print(f'{hidden} more pairs are apart or weaker: --all-pairs shows them.')
     for line in _alone(submaps):
         screen.print(line, soft_wrap=True)
 
