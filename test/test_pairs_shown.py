@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -12,12 +13,20 @@ import numpy as np
 import pytest
 
 from mapmerge_ros.association import Decision, Evidence, PairMatch
+from mapmerge_ros.bundle import compress
 from mapmerge_ros.cli import console
 from mapmerge_ros.cli.main import main
+from mapmerge_ros.fusion import fuse
+from mapmerge_ros.fusion.offline import choose_for_bundles
 from mapmerge_ros.fusion.outcome import Match
 from mapmerge_ros.io import read_submaps
+from mapmerge_ros.io.drawing_graph import common_landmarks, map_graph
+from mapmerge_ros.io.map_points import SEVERAL, map_points
 from mapmerge_ros.io.match_rows import by_worth, tally, why_not, worth_showing
+from mapmerge_ros.io.report import report_html
+from mapmerge_ros.io.summary import summarise
 from mapmerge_ros.io.truth import load_truth, truth_path
+from mapmerge_ros.simulation import FleetConfig, simulate_fleet
 
 from submaps import real_model  # isort: skip
 
@@ -186,3 +195,56 @@ def test_real_models_without_ids_are_compressed_shown_and_merged(
     (row,) = json.loads(Path('b_merged/summary.json').read_text())['matches']
     assert row['decision'] == 'joined'
     assert row['links'] > 200
+
+
+def test_report_shows_pairs_with_reasons_and_escapes_them(bag: Path) -> None:
+    evil = '<script>&'
+    maps = [item.submap for item in read_submaps(bag) if item.submap]
+    renamed = [replace(own, map_id=f'{evil}{k}') for k, own in enumerate(maps)]
+    fusion = fuse(renamed)
+    bad = replace(fusion.matches[0], found=replace(fusion.matches[0].found, reason=evil))
+    bad = replace(bad, found=replace(bad.found, decision=Decision.UNDECIDED))
+    fusion = replace(fusion, matches=(bad, *fusion.matches[1:]))
+    html = report_html(fusion, summarise(fusion), evil).decode()
+    assert '<script' not in html
+    assert html.count('&lt;script&gt;&amp;') > 20
+    assert 'Who shows the same place' in html
+    assert tally(fusion.matches) in html
+    assert f'{bad.found.evidence.inliers} of {bad.found.evidence.candidates}' in html
+    assert '<tr class="why"><td colspan="5"><div>&lt;script&gt;&amp;; ' in html
+
+
+def test_graph_joins_what_has_landmarks_in_common(bag: Path) -> None:
+    fusion = fuse(item.submap for item in read_submaps(bag) if item.submap)
+    drawn = map_graph(fusion)
+    assert drawn.count('<circle') == 4
+    assert drawn.count('<line') == 5
+    assert 'class="undecided"' not in drawn
+    open_pair = replace(
+        fusion.matches[0],
+        links=0,
+        found=replace(fusion.matches[0].found, decision=Decision.UNDECIDED),
+    )
+    alone = replace(fusion, components=(), pairs=(), matches=(open_pair,))
+    assert map_graph(alone).count('class="undecided"') == 1
+    assert map_graph(replace(alone, matches=())) == ''
+    assert common_landmarks(replace(fusion, matches=())) == {
+        (pair.a, pair.b): pair.shared for pair in fusion.pairs
+    }
+
+
+def test_drawing_joins_catalogue_that_descriptors_joined() -> None:
+    """Points that two maps have are one point, though nobody has compressed them."""
+    fleet = simulate_fleet(FleetConfig(drones=2, landmarks=120, ids='private'), seed=4)
+    chosen = choose_for_bundles(fleet.bundles, fleet.names, 15)
+    fusion = fuse(
+        compress(bundle, name, ids)
+        for bundle, name, ids in zip(fleet.bundles, fleet.names, chosen, strict=True)
+    )
+    points = map_points(fusion)
+    (found,) = fusion.matches
+    assert points.landmark_count == 15
+    assert (points.views == 2).sum() == found.links > 20
+    assert (points.owners[points.views == 2] == SEVERAL).all()
+    total = sum(len(bundle.point_ids) for bundle in fleet.bundles)
+    assert len(points) == total - found.links

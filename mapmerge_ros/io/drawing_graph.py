@@ -1,6 +1,6 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The graph of the sub-maps: which have landmarks in common, which may have."""
+"""The graph of the sub-maps: which have landmarks in common, which may have some."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _Edges = dict[tuple[str, str], int]
 
 def map_graph(fusion: Fusion) -> str:
     """
-    Sub-maps in a circle: lines between those with landmarks in common, dashed where undecided.
+    Sub-maps in a circle: lines between those with landmarks in common, dotted where undecided.
 
     Empty where there is nothing to join, or too much to read.
     """
