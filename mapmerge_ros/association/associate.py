@@ -20,6 +20,7 @@ from mapmerge_ros.association.network import Network, close_loops
 from mapmerge_ros.association.pair import Decision, PairMatch
 from mapmerge_ros.association.screening import worth_matching
 from mapmerge_ros.association.second_look import Links, second_look
+from mapmerge_ros.association.support import supported
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import DescriptorType, SubMap
 
@@ -84,11 +85,13 @@ def _associate(
     matches = {(a, b): memory.match(named[a], named[b], config) for a, b in pairs}
     network = close_loops(tuple(maps), matches)
     marks = [Landmarks.of(submap) for submap in maps]
-    links = {
-        pair: _sure(_looked_again(marks, named, pair, match, memory), marks[pair[0]], config)
+    looked = {
+        pair: _looked_again(marks, named, pair, match, memory)
         for pair, match in network.matches.items()
         if match.decision is Decision.JOINED
     }
+    heard = supported(looked, [len(mark) for mark in marks], config)
+    links = {pair: _sure(own, marks[pair[0]], config) for pair, own in heard.items()}
     by_rank = [own[one.order] for own, one in zip(known, named, strict=True)]
     tracks = greedy_tracks(by_rank, links)
     composed = _composed(marks, network, tracks, config)
