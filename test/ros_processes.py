@@ -100,6 +100,11 @@ class Observer(Node):
         raw = submap if isinstance(submap, bytes) else encode_submap(submap)
         self._senders[key].publish(raw)
 
+    def leave(self, topic: str) -> None:
+        """End the publishers of a topic, as a robot that goes."""
+        for key in [key for key in self._senders if key[0] == topic]:
+            self.destroy_publisher(self._senders.pop(key))
+
     def heard_by(self, topic: str) -> int:
         return sum(
             sender.get_subscription_count()

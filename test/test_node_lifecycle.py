@@ -22,8 +22,7 @@ from ros_processes import (
 )
 
 from mapmerge_ros.cli.processes import Children, free_domain
-from mapmerge_ros.nodes.live_parameters import config_settings
-from mapmerge_ros.nodes.parameters import NODE_SETTINGS
+from mapmerge_ros.nodes.live_parameters import own_settings
 from mapmerge_ros.submap import SubMap
 
 lifecycle = pytest.importorskip('lifecycle_msgs.srv', reason=REMEDY)
@@ -51,9 +50,7 @@ def observer(children: Children) -> Iterator[Observer]:
 def change(observer: Observer, transition: str) -> bool:
     request = lifecycle.ChangeState.Request()
     request.transition.label = transition
-    answer = observer.call(
-        lifecycle.ChangeState, 'change_state', transition=request.transition
-    )
+    answer = observer.call(lifecycle.ChangeState, 'change_state', transition=request.transition)
     return bool(answer.success)
 
 
@@ -118,7 +115,7 @@ def test_every_parameter_tells_what_it_means_and_what_it_may_be(
     children: Children, observer: Observer
 ) -> None:
     children.start('fusion', FUSION, {})
-    settings = (*NODE_SETTINGS, *config_settings('fusion_node/global'))
+    settings = own_settings('/', 'fusion_node')
     names = [setting.name for setting in settings]
     found = observer.call(interfaces.DescribeParameters, 'describe_parameters', names=names)
     values = observer.call(interfaces.GetParameters, 'get_parameters', names=names).values
