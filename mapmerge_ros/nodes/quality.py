@@ -61,6 +61,10 @@ Keep-all would grow without end for latecomers; a request has 2.5 kB, and is abo
 """
 
 
+BUNDLE_PROFILE = Quality(latched=False).profile(depth=10)
+"""Of bundles that are not latched; a SLAM may send several maps in a row."""
+
+
 def demand(offers: Iterable[Quality], settings: NodeSettings) -> Quality:
     """
     Quality to demand of publishers that offer these.
