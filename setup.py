@@ -53,6 +53,7 @@ setup(
             'mapmerge = mapmerge_ros.cli.main:main',
             'compressor_node = mapmerge_ros.nodes.compressor_node:main',
             'fusion_node = mapmerge_ros.nodes.fusion_node:main',
+            'record_node = mapmerge_ros.nodes.record_node:main',
             'robot_node = mapmerge_ros.nodes.robot_node:main',
         ],
     },

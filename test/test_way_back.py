@@ -14,7 +14,7 @@ import pytest
 from ros_processes import FUSION, REMEDY, Observer, SubMapMessage, observing, spin_until
 from scenes import random_bundle
 
-from mapmerge_ros.bundle import MapName
+from mapmerge_ros.bundle import Bundle, MapName
 from mapmerge_ros.cli.processes import Children, free_domain
 from mapmerge_ros.fusion.refine import Robot, refine
 from mapmerge_ros.geometry import Similarity, align
@@ -87,8 +87,8 @@ class Heard:
         return np.array([[p.pose.position.x, p.pose.position.y, p.pose.position.z] for p in poses])
 
 
-def centres(robot: Robot) -> Any:
-    R, t = robot.bundle.rotations_camera_map, robot.bundle.translations_camera_map
+def centres_of(bundle: Bundle) -> Any:
+    R, t = bundle.rotations_camera_map, bundle.translations_camera_map
     return -np.einsum('mji,mj->mi', R, t)
 
 
@@ -101,9 +101,18 @@ def test_paths_of_the_robots_are_those_of_the_full_bundle(
         children.start(f'd{k}', COMPRESSOR, values, {'__ns': f'/d{k}'})
         heard.senders[f'd{k}'].publish(encode_bundle(named))
     children.start('fusion', FUSION, {'merge_period': 0.3, 'request_landmarks': 20})
-    spin_until([observer], lambda: len(heard.paths) == ROBOTS, 'a path of every robot')
+    spin_until(
+        [observer],
+        lambda: len(heard.paths) == len(heard.clouds) == ROBOTS,
+        'path and landmarks of every robot',
+    )
     assert all(submap.compressed_count == 20 for submap in heard.submaps.values())
     full = joint(heard, bundles)
+    alone = [
+        np.linalg.norm(align(own, joined).S_target_source.apply(joined) - own, axis=1).max()
+        for own, joined in ((centres_of(x.bundle), full[x.name.robot_id]) for x in bundles)
+    ]
+    assert min(alone) > 1e-3, 'there is something to correct'
     spin_until(
         [observer],
         lambda: max(distances(heard, full)) < 1e-5,
@@ -127,7 +136,7 @@ def joint(heard: Heard, bundles: list[NamedBundle]) -> dict[str, Any]:
     ]
     refined, rounds = refine(robots, 20)
     assert rounds[-1].step_ratio < 1e-6
-    return {robot.name.robot_id: centres(robot) for robot in refined}
+    return {robot.name.robot_id: centres_of(robot.bundle) for robot in refined}
 
 
 def distances(heard: Heard, full: dict[str, Any]) -> list[float]:
