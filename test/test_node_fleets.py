@@ -124,3 +124,27 @@ def test_two_fleets_on_one_network_do_not_hear_each_other(
         assert_same_map(others[name], submaps)
         assert others[name].heard.global_map.map_id == f'{name}/fusion_node/global'
         others[name].destroy_node()
+
+
+def test_the_global_frame_stays_when_a_map_is_added(
+    children: Children, observer: Observer
+) -> None:
+    children.start('fusion', FUSION, {'merge_period': 0.1, 'ask': False})
+    robots = [submap_of(0, k, revision=1, stamp_ns=k * S) for k in range(5)]
+    for submap in robots[1:4]:
+        observer.send(f'/{submap.robot_id}/submap', submap)
+    spin_until([observer], lambda: merged(observer) == 3, 'three')
+    before = observer.heard.global_map
+    # The last one is older than all the others: alone it would hold the frame.
+    for count, submap in ((4, robots[4]), (5, robots[0])):
+        observer.send(f'/{submap.robot_id}/submap', submap)
+        spin_until([observer], lambda count=count: merged(observer) == count, f'{count} maps')
+    after = observer.heard.global_map
+    assert before is not None
+    assert after is not None
+    _, old, new = np.intersect1d(before.landmark_ids, after.landmark_ids, return_indices=True)
+    assert len(old) >= 20
+    S_after_before = align(after.points[new], before.points[old]).S_target_source
+    moved = S_after_before.apply(before.points[old]) - before.points[old]
+    std = np.sqrt(np.median(after.covariances[new][:, [0, 3, 5]].sum(axis=1)))
+    assert np.linalg.norm(moved, axis=1).max() < std
