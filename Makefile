@@ -44,8 +44,8 @@ $(VENV)/.installed: setup.py pyproject.toml $(wildcard msg_schemas/*/*.?? msg_sc
 	$(PIP) install -e '.[colmap,ros]' ./msg_schemas
 	@touch $@
 
-$(VENV)/.tested: $(VENV)/.installed
-	$(PIP) install -e '.[colmap,experiments,ros,test]'
+$(VENV)/.tested: $(VENV)/.installed $(wildcard test/interfaces/*/*.*)
+	$(PIP) install -e '.[colmap,experiments,ros,test]' ./test/interfaces/tf2_msgs
 	@touch $@
 
 $(VENV)/.colcon: $(VENV)/.installed msg_schemas/requirements-colcon.txt

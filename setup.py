@@ -2,9 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build of the ament_python package; works with colcon and with pip alike."""
 
+from pathlib import Path
+
 from setuptools import find_packages, setup
 
 package_name = 'mapmerge_ros'
+
+
+def files(folder, pattern):
+    """Paths that an installation copies, relative to this file."""
+    return sorted(str(path) for path in Path(folder).glob(pattern))
+
 
 setup(
     name=package_name,
@@ -17,8 +25,9 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
-        (f'share/{package_name}/config', ['config/fusion.yaml']),
-        (f'share/{package_name}/launch', ['launch/fusion.launch.py']),
+        (f'share/{package_name}/config', files('config', '*.yaml')),
+        (f'share/{package_name}/launch', files('launch', '*.launch.py')),
+        (f'share/{package_name}/rviz', files('rviz', 'fusion.*')),
     ],
     python_requires='>=3.10',
     install_requires=[
@@ -53,6 +62,7 @@ setup(
             'mapmerge = mapmerge_ros.cli.main:main',
             'compressor_node = mapmerge_ros.nodes.compressor_node:main',
             'fusion_node = mapmerge_ros.nodes.fusion_node:main',
+            'record_node = mapmerge_ros.nodes.record_node:main',
             'robot_node = mapmerge_ros.nodes.robot_node:main',
         ],
     },

@@ -36,6 +36,9 @@ SHIPPED = Path(__file__).resolve().parents[1] / 'bags' / 'four_drones.mcap'
 PATIENCE_S = 30.0
 """For a condition that normally holds within two seconds; a busy machine may take its time."""
 
+RETRY_S = 5.0
+"""Before a service is called once more."""
+
 FUSION = 'mapmerge_ros.nodes.fusion_node'
 ROBOT = 'mapmerge_ros.nodes.robot_node'
 
@@ -97,6 +100,11 @@ class Observer(Node):
         raw = submap if isinstance(submap, bytes) else encode_submap(submap)
         self._senders[key].publish(raw)
 
+    def leave(self, topic: str) -> None:
+        """End the publishers of a topic, as a robot that goes."""
+        for key in [key for key in self._senders if key[0] == topic]:
+            self.destroy_publisher(self._senders.pop(key))
+
     def heard_by(self, topic: str) -> int:
         return sum(
             sender.get_subscription_count()
@@ -110,10 +118,21 @@ class Observer(Node):
         client = self.create_client(service, f'{self._fusion_node}/{name}')
         nodes = [self, *others]
         spin_until(nodes, client.service_is_ready, f'service {name}')
-        future = client.call_async(service.Request(**fields))
-        spin_until(nodes, future.done, f'answer of {name}')
+        # An answer may be lost where a node has just come, or a dead one is still believed in.
+        futures: list[Any] = []
+        asked_s = -RETRY_S
+
+        def answered() -> Any:
+            nonlocal asked_s
+            if time.monotonic() - asked_s >= RETRY_S:
+                asked_s = time.monotonic()
+                futures.append(client.call_async(service.Request(**fields)))
+            return next((future for future in futures if future.done()), None)
+
+        spin_until(nodes, answered, f'answer of {name}')
+        answer = answered()
         self.destroy_client(client)
-        return future.result()
+        return answer.result()
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:

@@ -473,6 +473,41 @@ def test_the_merge_follows_the_clock_of_the_node(
     node.destroy_node()
 
 
+def test_a_recording_that_starts_again_disturbs_nothing(
+    observer: Observer, submaps: tuple[SubMap, ...]
+) -> None:
+    from rosgraph_msgs.msg import Clock
+
+    clock = observer.create_publisher(Clock, '/clock', 1)
+    node = fusion_node(use_sim_time=True, merge_period=2.0, robot_timeout=5.0)
+    nodes = [node, observer]
+    message = Clock()
+
+    def tick() -> None:
+        message.clock.sec += 1
+        clock.publish(message)
+
+    observer.create_timer(0.02, tick)
+    message.clock.sec = 1000
+    observer.send('/submaps', submaps[0])
+    spin_until(nodes, lambda: node.session.fusion is not None, 'a merge')
+    message.clock.sec = 10
+    spin_until(nodes, lambda: node.session.now_ns < 900 * 10**9, 'the clock was set back')
+    for submap in submaps[:2]:
+        observer.send('/submaps', submap)
+    spin_until(
+        nodes,
+        lambda: observer.heard.is_complete and observer.heard.status.merged == 2,
+        'a merge in the new time',
+    )
+    assert observer.heard.status.header.stamp.sec < 900
+    (record, *_) = node.session.ledger.robots.values()
+    assert record.first_ns <= record.last_ns < 900 * 10**9
+    assert node.session.ledger.ignored == 1, 'what was known is known'
+    node.close()
+    node.destroy_node()
+
+
 def test_the_worker_runs_one_merge_at_a_time() -> None:
     gate, woken = threading.Event(), threading.Event()
 

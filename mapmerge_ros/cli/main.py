@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from threadpoolctl import threadpool_limits
 
 from mapmerge_ros import __version__
-from mapmerge_ros.cli import compress, demo, experiment, info, refine, replay, simulate
+from mapmerge_ros.cli import compress, demo, experiment, info, record, refine, replay, simulate
 from mapmerge_ros.cli.options import UsageError
 from mapmerge_ros.errors import MapMergeError
 
-COMMANDS = (compress, replay, refine, info, simulate, demo, experiment)
+COMMANDS = (compress, replay, refine, info, record, simulate, demo, experiment)
 
 EXIT_ERROR, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 

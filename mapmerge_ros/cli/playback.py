@@ -14,6 +14,7 @@ from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion import Fusion, FusionConfig, FusionEngine, Receipt
 from mapmerge_ros.fusion.replay import EmptyReplayError, OnFusion, replay
 from mapmerge_ros.io import Recording
+from mapmerge_ros.io.state import load_state
 from mapmerge_ros.io.summary import Refused, Traffic
 from mapmerge_ros.submap import SubMap
 
@@ -32,10 +33,13 @@ class Playback:
         config: FusionConfig,
         period_ns: int,
         rate: float | None,
+        resume: Path | None = None,
     ) -> None:
         self._recording = recording
         self._bags = bags
         self._engine = FusionEngine(config)
+        if resume is not None:
+            self._engine.restore(load_state(resume).state)
         self._period_ns = period_ns
         self._rate = rate
         self._refused: list[Refused] = []
@@ -94,10 +98,16 @@ class Playback:
 
 @contextmanager
 def play(
-    bags: Sequence[Path], config: FusionConfig, period_ns: int, rate: float | None = None
+    bags: Sequence[Path],
+    config: FusionConfig,
+    period_ns: int,
+    rate: float | None = None,
+    resume: Path | None = None,
 ) -> Iterator[Playback]:
     """
     Open recordings for one run; `rate` None does not wait.
+
+    `resume` is a saved state to go on from.
 
     Raises
     ------
@@ -106,4 +116,4 @@ def play(
 
     """
     with Recording(bags) as recording:
-        yield Playback(recording, bags, config, period_ns, rate)
+        yield Playback(recording, bags, config, period_ns, rate, resume)

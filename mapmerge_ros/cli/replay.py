@@ -96,6 +96,12 @@ def add_parser(subparsers: Subparsers) -> None:
         help='map_id of the merged map; give each its own if they are to be merged again '
         '(default: %(default)s)',
     )
+    add(
+        '--resume',
+        type=Path,
+        metavar='STATE',
+        help='go on from a state that the service ~/save_map of a fusion node has written',
+    )
     parser.set_defaults(run=run)
 
 
@@ -104,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
     config = _config(args)
     period_ns = max(round(args.merge_period * NANOSECONDS), 1)
     truth_file = truth_path(args.bags[0])
-    with play(args.bags, config, period_ns, args.rate) as playback:
+    with play(args.bags, config, period_ns, args.rate, args.resume) as playback:
         folder = args.out or default_folder(args.bags[0])
         with output_folder(folder):
             fusion = playback.run()

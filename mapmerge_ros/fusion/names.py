@@ -52,7 +52,7 @@ def name_landmarks(submaps: Sequence[SubMap], association: Association) -> Names
     ]
     names = np.zeros(max(int(own.max()) for own in tracks) + 1, np.uint64)
     for submap, own in reversed(list(zip(submaps, tracks, strict=True))):
-        names[own] = _hashed(submap.map_id, submap.landmark_ids)
+        names[own] = private_names(submap.map_id, submap.landmark_ids)
     nameless = np.zeros(association.count, bool)
     return Names(tuple(names[own] for own in tracks), '', nameless)
 
@@ -73,15 +73,19 @@ def _current_first(submaps: Sequence[SubMap], association: Association) -> tuple
         return tuple(own_ids)
     for submap, tracks in reversed(list(zip(submaps, association.tracks, strict=True))):
         old = outdated[tracks]
-        ids[tracks[old]] = _hashed(submap.map_id, submap.compressed_ids[old])
+        ids[tracks[old]] = private_names(submap.map_id, submap.compressed_ids[old])
     return tuple(
         np.concatenate([ids[tracks], own[len(tracks) :]])
         for tracks, own in zip(association.tracks, own_ids, strict=True)
     )
 
 
-def _hashed(map_id: str, landmark_ids: Ids) -> Ids:
-    """64 bits (n,) that mix map and id: a collision among a million landmarks has odds 3e-8."""
+def private_names(map_id: str, landmark_ids: Ids) -> Ids:
+    """
+    Names (n,) of landmarks outside their map, whose ids mean nothing there.
+
+    64 bits that mix map and id: a collision among a million landmarks has odds 3e-8.
+    """
     digest = hashlib.blake2b(map_id.encode(), digest_size=8).digest()
     value = landmark_ids ^ np.uint64(int.from_bytes(digest, 'little'))
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):

@@ -1,45 +1,42 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Node of a robot that has a bundle: announces all landmarks, compresses those it is asked for."""
+"""
+Node of a robot that has a bundle: announces all landmarks, compresses those it is asked for, and
+brings the robot's path into agreement with the map of the fleet.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from mapmerge_msgs.msg import LandmarkRequest, SubMap
+from mapmerge_msgs.msg import Bundle, LandmarkRequest, SubMap
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from std_srvs.srv import Trigger
 
-from mapmerge_ros.errors import InvalidValue
-from mapmerge_ros.geometry import Gauge
-from mapmerge_ros.io import InvalidMessage, decode_request, load_bundles
-from mapmerge_ros.nodes.own_map import Done, Job, OwnMap, Response, work
+from mapmerge_ros.io import InvalidMessage, NamedBundle, decode_request, load_bundles
+from mapmerge_ros.nodes.compressor_parameters import declare_settings
+from mapmerge_ros.nodes.corrections import Corrections
+from mapmerge_ros.nodes.outbox import Outbox
+from mapmerge_ros.nodes.own_map import Done, Response
+from mapmerge_ros.nodes.own_maps import OwnMaps
 from mapmerge_ros.nodes.process import run_node
-from mapmerge_ros.nodes.quality import LATCHED_PROFILE, REQUESTS_PROFILE
-from mapmerge_ros.nodes.settings import Setting, declare
-from mapmerge_ros.nodes.worker import Worker
+from mapmerge_ros.nodes.quality import BUNDLE_PROFILE, LATCHED_PROFILE, REQUESTS_PROFILE
+from mapmerge_ros.nodes.way_back import STEP_RATIO, Corrected
+from mapmerge_ros.nodes.worker import Result, Worker
 from mapmerge_ros.submap import Request
 
-SETTINGS = (
-    Setting('bundle', '', 'Folder of a COLMAP model, or a recording of Bundle messages.'),
-    Setting(
-        'robot_id',
-        '',
-        'Name of the robot, by default that of the folder; in a recording: '
-        'which robot to be, may be empty if there is only one.',
-    ),
-    Setting('id_space', '', 'For a model: its point3D ids mean the same in all of this name.'),
-    Setting(
-        'gauge',
-        '7',
-        'For a model: 7 monocular, 6 metric, 4 metric with z up.',
-        choices=('7', '6', '4'),
-    ),
-)
-
 REQUESTS_TOPIC = '/fusion_node/requests'
-"""Where the fusion node asks by default; remap it if that has another name."""
+GLOBAL_MAP_TOPIC = '/fusion_node/global_map'
+"""Where the fusion node is by default; remap both if it has another name."""
+
+OUTBOX_S = 0.1
+"""How often to look whether the radio is free again."""
+
+Then = Callable[[], None]
+"""What remains to be done in the thread of the node."""
 
 
 class CompressorNode(Node):  # type: ignore[misc]
@@ -47,37 +44,77 @@ class CompressorNode(Node):  # type: ignore[misc]
 
     def __init__(self, **options: Any) -> None:
         super().__init__('compressor_node', **options)
-        path, robot_id, id_space, gauge = (declare(self, setting) for setting in SETTINGS)
-        if not path:
-            raise InvalidValue('bundle: empty; set it with -p bundle:=PATH')
-        bundles = load_bundles(path, robot_id, id_space, Gauge(int(gauge)))
+        self._settings = settings = declare_settings(self)
         # Above every revision of an earlier life of this robot, as long as its clock is right.
-        start = int(time.time())
-        self._maps = {
-            named.name.map_id: OwnMap(named, max(start, named.name.revision)) for named in bundles
-        }
+        self._maps = OwnMaps(settings.robot_id, int(time.time()))
         # One publisher each: the latest of every map is there for those who come late.
-        self._submaps = {
-            map_id: self.create_publisher(SubMap, 'submap', LATCHED_PROFILE)
-            for map_id in self._maps
-        }
-        self._pending: dict[str, Request] = {}
+        self._submaps: dict[str, Any] = {}
+        self._outbox = Outbox(settings.max_bytes_per_s, self._publish)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._corrections = Corrections(self)
+        self._rounds_left: dict[str, int] = {}
+        self._bundles = 0
+        """Heard so far"""
+        self._tasks: dict[str, Callable[[], Then]] = {}
         wake = self.create_guard_condition(self._on_wake)
-        self._worker: Worker[Job, Done] = Worker(work, wake.trigger)
-        self.create_subscription(
-            LandmarkRequest, REQUESTS_TOPIC, self._on_request, REQUESTS_PROFILE, raw=True
-        )
-        for map_id, own in self._maps.items():
-            self._send(map_id)
-            count = len(own.announced.landmark_ids)
-            self.get_logger().info(f'announced {count} landmarks of {map_id}')
+        self._worker: Worker[Callable[[], Then], Then] = Worker(lambda task: task(), wake.trigger)
+        if settings.bundle:
+            for named in load_bundles(
+                settings.bundle, settings.robot_id, settings.id_space, settings.gauge
+            ):
+                self._announced(self._maps.prepare(named))
+        self._listen()
 
     def close(self) -> None:
         """End the worker."""
         self._worker.close()
 
+    def _listen(self) -> None:
+        subscribe = self.create_subscription
+        subscribe(LandmarkRequest, REQUESTS_TOPIC, self._on_request, REQUESTS_PROFILE, raw=True)
+        subscribe(SubMap, GLOBAL_MAP_TOPIC, self._on_global_map, LATCHED_PROFILE, raw=True)
+        # Whoever latches is heard by both, and what comes twice is not newer.
+        for profile in (LATCHED_PROFILE, BUNDLE_PROFILE):
+            subscribe(Bundle, 'bundle', self._on_bundle, profile, raw=True)
+        self.create_service(Trigger, '~/relinearise', self._on_relinearise)
+        if self._settings.max_bytes_per_s:
+            self.create_timer(OUTBOX_S, self._on_outbox, clock=self._steady)
+
     def _send(self, map_id: str) -> None:
-        self._submaps[map_id].publish(self._maps[map_id].raw)
+        self._outbox.put(map_id, self._maps[map_id].raw, self._now_s)
+
+    def _publish(self, map_id: str, raw: bytes) -> None:
+        if map_id not in self._submaps:
+            self._submaps[map_id] = self.create_publisher(SubMap, 'submap', LATCHED_PROFILE)
+        self._submaps[map_id].publish(raw)
+
+    @property
+    def _now_s(self) -> float:
+        return float(self._steady.now().nanoseconds) * 1e-9
+
+    def _on_outbox(self) -> None:
+        self._outbox.flush(self._now_s)
+
+    def _on_bundle(self, raw: bytes) -> None:
+        # Decoding and announcing a large bundle takes seconds.
+        self._bundles += 1
+        self._later(f'bundle {self._bundles}', lambda: self._new_bundle(raw))
+
+    def _new_bundle(self, raw: bytes) -> Then:
+        try:
+            named = self._maps.decode(raw)
+            prepared = None if named is None else self._maps.prepare(named)
+        except InvalidMessage as err:
+            reason = str(err)
+            return lambda: self.get_logger().warning(f'refused: {reason}')
+        return (lambda: self._announced(prepared)) if prepared else (lambda: None)
+
+    def _announced(self, own: Any) -> None:
+        map_id = self._maps.take(own)
+        self._rounds_left[map_id] = 0
+        self._send(map_id)
+        count = len(own.announced.landmark_ids)
+        self.get_logger().info(f'announced {count} landmarks of {map_id}')
 
     def _on_request(self, raw: bytes) -> None:
         try:
@@ -95,34 +132,63 @@ class CompressorNode(Node):  # type: ignore[misc]
             return
         self._respond(own, request)
 
-    def _respond(self, own: OwnMap, request: Request) -> None:
+    def _respond(self, own: Any, request: Request) -> None:
         response, map_id = own.respond(request), request.map_id
         self.get_logger().debug(f'{map_id}, revision {request.revision}: {response.value}')
-        if response is Response.COMPRESS:
-            self._pending[map_id] = request  # a newer one takes the place of an older
-            self._start()
+        if response is Response.COMPRESS:  # a newer one takes the place of an older
+            self._later(f'answer {map_id}', lambda: self._answer(request))
         elif response is Response.REANNOUNCE:
             own.reannounce(request.revision)
             self._send(map_id)
         elif response is Response.REPEAT:
             self._send(map_id)
 
-    def _start(self) -> None:
-        if self._pending and not self._worker.busy:
-            map_id = min(self._pending)
-            self._worker.start(self._maps[map_id].job(self._pending.pop(map_id)))
+    def _answer(self, request: Request) -> Then:
+        done = self._maps.answer(request)
+        return lambda: self._finish(done, self._settings.relinearise_rounds)
 
-    def _on_wake(self) -> None:
-        result = self._worker.take()
-        if result is None:
-            return
-        if result.product is None:
-            self.get_logger().error(f'compressing failed: {result.error}\n{result.trace}')
-        else:
-            self._finish(result.product)
-        self._start()
+    def _on_global_map(self, raw: bytes) -> None:
+        self._later('correct', lambda: self._correct(raw, False))
 
-    def _finish(self, done: Done) -> None:
+    def _on_relinearise(self, request: Any, response: Any) -> Any:
+        raw = self._maps.global_map
+        response.success = raw is not None
+        response.message = 'no global map has arrived yet' if raw is None else 'will be sent'
+        if raw is not None:
+            self._later('correct', lambda: self._correct(raw, True))
+        return response
+
+    def _correct(self, raw: bytes, is_asked: bool) -> Then:
+        try:
+            found = self._maps.correct(raw)
+        except InvalidMessage as err:
+            reason = str(err)
+            return lambda: self.get_logger().warning(f'refused: {reason}')
+        again = {
+            named.name.map_id: self._maps.answer_again(corrected)
+            for named, corrected in found
+            if is_asked or self._is_worth_a_round(corrected)
+        }
+        return lambda: self._take_back(found, again)
+
+    def _is_worth_a_round(self, corrected: Corrected) -> bool:
+        left = self._rounds_left.get(corrected.map_id, 0)
+        return left > 0 and corrected.step_ratio > STEP_RATIO
+
+    def _take_back(
+        self, found: Sequence[tuple[NamedBundle, Corrected]], again: dict[str, Done | None]
+    ) -> None:
+        for named, corrected in found:
+            self._corrections.publish(named, corrected)
+            self.get_logger().debug(
+                f'{corrected.map_id}: {corrected.shared} landmarks moved by up to '
+                f'{corrected.step_ratio:.2g} standard deviations'
+            )
+        for map_id, done in again.items():
+            if done is not None:
+                self._finish(done, self._rounds_left.get(map_id, 0) - 1)
+
+    def _finish(self, done: Done, rounds_left: int) -> None:
         map_id, found, log = done.job.request.map_id, done.answer, self.get_logger()
         if len(found.unknown):
             log.warning(
@@ -134,9 +200,29 @@ class CompressorNode(Node):  # type: ignore[misc]
         if found.submap is None:
             log.warning(f'{map_id}: cannot compress what was asked for: {found.reason}')
         elif self._maps[map_id].finish(done):
+            self._rounds_left[map_id] = max(rounds_left, 0)
             self._send(map_id)
             count = found.submap.compressed_count
             log.info(f'sent {count} compressed landmarks of {map_id}, {len(done.raw)} bytes')
+
+    def _later(self, name: str, task: Callable[[], Then]) -> None:
+        """Do this apart from the node's thread; it takes the place of one of its name."""
+        self._tasks[name] = task
+        self._start()
+
+    def _start(self) -> None:
+        if self._tasks and not self._worker.busy:
+            self._worker.start(self._tasks.pop(next(iter(self._tasks))))
+
+    def _on_wake(self) -> None:
+        result: Result[Then] | None = self._worker.take()
+        if result is None:
+            return
+        if result.product is None:
+            self.get_logger().error(f'failed: {result.error}\n{result.trace}')
+        else:
+            result.product()
+        self._start()
 
 
 def main(args: Sequence[str] | None = None) -> int:

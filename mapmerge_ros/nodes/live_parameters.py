@@ -19,7 +19,7 @@ from mapmerge_ros.nodes.parameters import (
     NODE_SETTINGS,
     NodeSettings,
 )
-from mapmerge_ros.nodes.settings import Change, Setting, checked, declare, read
+from mapmerge_ros.nodes.settings import Change, Setting, Value, checked, declare, read
 
 
 class LiveParameters:
@@ -39,8 +39,8 @@ class LiveParameters:
         self._node = node
         self._is_configured = is_configured
         self._on_change = on_change
-        config = config_settings(f'{node.get_fully_qualified_name()[1:]}/global')
-        self._settings = {item.name: item for item in (*NODE_SETTINGS, *config)}
+        own = own_settings(node.get_namespace(), node.get_name())
+        self._settings = {item.name: item for item in own}
         for setting in self._settings.values():
             declare(node, setting)
         self.config()
@@ -49,7 +49,7 @@ class LiveParameters:
 
     def settings(self) -> NodeSettings:
         """Return what is about topics and time, as it is now."""
-        values = read(self._node, NODE_SETTINGS)
+        values = read(self._node, (self._settings[x.name] for x in NODE_SETTINGS))
         values['discovery_pattern'] = re.compile(values['discovery_pattern'])
         del values['autostart']
         return NodeSettings(**values)
@@ -84,10 +84,17 @@ class LiveParameters:
             self._on_change()
 
 
-def config_settings(own_map_id: str) -> tuple[Setting, ...]:
-    """Parameters of the engine, for a node whose map is called like this by default."""
-    first, *others = (
+def own_settings(namespace: str, name: str) -> tuple[Setting, ...]:
+    """Every parameter, with the defaults of a node of this name."""
+    root = namespace.rstrip('/')
+    defaults: dict[str, Value] = {'map_id': f'{root}/{name}/global'[1:]}
+    if root:  # what belongs to a fleet lies below its namespace
+        defaults['discovery_pattern'] = f'{re.escape(root)}(/.*)?/submap$'
+    engine = (
         replace(item, change=Change.UNCONFIGURED if item.name in FIXED_CONFIG else Change.ALWAYS)
         for item in CONFIG_SETTINGS
     )
-    return replace(first, default=own_map_id), *others
+    return tuple(
+        replace(item, default=defaults.get(item.name, item.default))
+        for item in (*NODE_SETTINGS, *engine)
+    )

@@ -60,12 +60,29 @@ class OwnMap:
 
     def __init__(self, named: NamedBundle, revision: int) -> None:
         """`revision` is the first one; it has to be above that of every earlier life."""
+        self.named = named
+        """As the robot made it"""
         self._bundle = named.bundle
         self._announced = announce(named.bundle, replace(named.name, revision=revision))
         self._first = self._newest = revision
         self._answered: Request | None = None
         self.raw = encode_submap(self._announced)
         """The newest revision, as it was sent"""
+
+    @property
+    def bundle(self) -> Bundle:
+        """At its present working point."""
+        return self._bundle
+
+    @property
+    def newest(self) -> int:
+        """Newest revision."""
+        return self._newest
+
+    @property
+    def asked(self) -> Request | None:
+        """What the newest revision is the answer to; None while it is an announcement."""
+        return self._answered
 
     @property
     def announced(self) -> SubMap:
@@ -87,20 +104,33 @@ class OwnMap:
 
     def reannounce(self, asked: int) -> None:
         """Announce above what an earlier life can have sent, which was asked at this revision."""
-        self._first = self._newest = min(asked + STEP, MAX_REVISION)
+        self.start_at(asked + STEP)
+
+    def start_at(self, revision: int) -> None:
+        """Announce as this revision, and forget what was asked before."""
+        self._first = self._newest = min(revision, MAX_REVISION)
         self._announced = reannounce(self._announced, self._newest)
         self._answered = None
         self.raw = encode_submap(self._announced)
 
-    def job(self, request: Request) -> Job:
-        """Everything that is needed to answer, whatever happens to this map meanwhile."""
-        return Job(self._bundle, self._announced, request, self._newest + 1)
+    def sent(self, revision: int) -> bool:
+        """Whether a revision is of this bundle."""
+        return self._first <= revision <= self._newest
+
+    def job(self, request: Request, bundle: Bundle | None = None) -> Job:
+        """
+        Everything that is needed to answer, whatever happens to this map meanwhile.
+
+        `bundle` is the working point to answer from, by default the present one.
+        """
+        return Job(bundle or self._bundle, self._announced, request, self._newest + 1)
 
     def finish(self, done: Done) -> bool:
         """Take the outcome of a job; whether there is a new revision to send."""
         if done.answer.submap is None or done.job.revision != self._newest + 1:
             return False
         self._newest, self._answered, self.raw = done.job.revision, done.job.request, done.raw
+        self._bundle = done.job.bundle
         return True
 
 

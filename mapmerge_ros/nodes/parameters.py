@@ -29,7 +29,8 @@ NODE_SETTINGS = (
     Setting(
         'discovery_pattern',
         '.*/submap$',
-        'Regular expression; topics of type SubMap whose whole name matches are subscribed to.',
+        'Regular expression; topics of type SubMap whose whole name matches are subscribed to. '
+        'A node in a namespace looks only below it by default.',
         change=Change.UNCONFIGURED,
         is_pattern=True,
     ),

@@ -61,6 +61,16 @@ Keep-all would grow without end for latecomers; a request has 2.5 kB, and is abo
 """
 
 
+BUNDLE_PROFILE = Quality(latched=False).profile(depth=10)
+"""Of bundles that are not latched; a SLAM may send several maps in a row."""
+
+
+def common(offers: Iterable[Quality]) -> Quality:
+    """Return the best that all of these offer."""
+    offers = tuple(offers)
+    return Quality(all(x.reliable for x in offers), all(x.latched for x in offers))
+
+
 def demand(offers: Iterable[Quality], settings: NodeSettings) -> Quality:
     """
     Quality to demand of publishers that offer these.
@@ -68,9 +78,8 @@ def demand(offers: Iterable[Quality], settings: NodeSettings) -> Quality:
     A volatile subscriber would not get what a robot sent before it was there, one that demands
     more than a publisher offers would get nothing at all.
     """
-    offers = tuple(offers)
-    reliable = all(offer.reliable for offer in offers)
-    latched = all(offer.latched for offer in offers)
+    best = common(offers)
+    reliable, latched = best.reliable, best.latched
     if settings.reliability != 'auto':
         reliable = settings.reliability == 'reliable'
     if settings.durability != 'auto':

@@ -1,0 +1,104 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""All maps of one robot: what it makes of bundles, of requests and of the global map."""
+
+from __future__ import annotations
+
+from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.io import NamedBundle, decode_bundle, decode_submap
+from mapmerge_ros.nodes.own_map import Done, OwnMap, work
+from mapmerge_ros.nodes.way_back import Corrected, correct
+from mapmerge_ros.submap import Request
+
+
+class OwnMaps:
+    """
+    The maps by their name.
+
+    `decode`, `prepare`, `answer`, `answer_again` and `correct` take long and change nothing that
+    the owner's thread reads; the owner takes over what they made.
+    """
+
+    def __init__(self, robot_id: str, first_revision: int) -> None:
+        """`robot_id` empty: of whatever robot a bundle is."""
+        self._robot_id = robot_id
+        self._first_revision = first_revision
+        self._maps: dict[str, OwnMap] = {}
+        self.global_map: bytes | None = None
+        """The last one in which a map of this robot is"""
+
+    def __getitem__(self, map_id: str) -> OwnMap:
+        return self._maps[map_id]
+
+    def get(self, map_id: str) -> OwnMap | None:
+        """Return a map, None if it is not of this robot."""
+        return self._maps.get(map_id)
+
+    def decode(self, raw: bytes) -> NamedBundle | None:
+        """
+        Bundle of a message; None if it is not of this robot, or older than what is known.
+
+        Raises
+        ------
+        InvalidMessage
+            What is wrong with it.
+
+        """
+        named = decode_bundle(raw)
+        if self._robot_id not in ('', named.name.robot_id):
+            return None
+        known = self._maps.get(named.name.map_id)
+        if known is None:
+            return named
+        old, new = known.named.name, named.name
+        # As with sub-maps: a SLAM that was restarted counts anew, and has seen more.
+        is_newer = new.revision > old.revision or new.stamp_ns > old.stamp_ns
+        return named if is_newer else None
+
+    def prepare(self, named: NamedBundle) -> OwnMap:
+        """Announce a bundle, above every revision that is known."""
+        return OwnMap(named, max(self._first_revision, named.name.revision))
+
+    def take(self, own: OwnMap) -> str:
+        """Put a map in the place of an older one; its name."""
+        map_id = own.announced.map_id
+        known = self._maps.get(map_id)
+        if known is not None and own.newest <= known.newest:
+            own.start_at(known.newest + 1)
+        self._maps[map_id] = own
+        return map_id
+
+    def answer(self, request: Request) -> Done:
+        """Compress what a request asks for."""
+        return work(self._maps[request.map_id].job(request))
+
+    def answer_again(self, corrected: Corrected) -> Done | None:
+        """Compress the same landmarks, linearised where the fusion has them."""
+        own = self._maps[corrected.map_id]
+        return None if own.asked is None else work(own.job(own.asked, corrected.bundle))
+
+    def correct(self, raw: bytes) -> list[tuple[NamedBundle, Corrected]]:
+        """
+        Every map of this robot that is inside a global map, in agreement with it.
+
+        Raises
+        ------
+        InvalidMessage
+            The global map breaks its contract.
+
+        """
+        global_map = decode_submap(raw)
+        found = []
+        for source in global_map.sources:
+            own = self._maps.get(source.map_id)
+            if own is None or not own.sent(source.revision):
+                continue
+            try:
+                corrected = correct(own.bundle, own.announced, global_map)
+            except DegenerateGeometry:
+                continue  # it keeps the path that it has
+            if corrected is not None:
+                found.append((own.named, corrected))
+        if found:
+            self.global_map = raw
+        return found

@@ -1,0 +1,172 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What RViz and Foxglove are given: points, markers, frames; all of it latched."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_processes import (
+    FUSION,
+    REMEDY,
+    Observer,
+    load,
+    make_recording,
+    observing,
+    spin_until,
+)
+
+from mapmerge_ros.cli.processes import Children, free_domain
+from mapmerge_ros.fusion import FusionConfig, Snapshot, State, fuse
+from mapmerge_ros.io.map_points import map_points
+from mapmerge_ros.io.palette import SHARED
+from mapmerge_ros.submap import SubMap
+
+PointCloud2 = pytest.importorskip('sensor_msgs.msg', reason=REMEDY).PointCloud2
+visualization = pytest.importorskip('visualization_msgs.msg', reason=REMEDY)
+
+from mapmerge_ros.nodes.cloud import POINT, make_cloud, robot_colours  # noqa: E402
+from mapmerge_ros.nodes.frames import MISSING, TFMessage, placeable  # noqa: E402
+from mapmerge_ros.nodes.markers import axes  # noqa: E402
+from mapmerge_ros.nodes.quality import LATCHED_PROFILE  # noqa: E402
+
+
+@pytest.fixture(scope='module')
+def submaps(tmp_path_factory: pytest.TempPathFactory) -> tuple[SubMap, ...]:
+    return load(make_recording(tmp_path_factory.mktemp('recording')))
+
+
+@pytest.fixture
+def children(tmp_path: Path) -> Iterator[Children]:
+    with Children(free_domain(), tmp_path / 'logs') as started:
+        yield started
+
+
+@pytest.fixture
+def observer(children: Children) -> Iterator[Observer]:
+    with observing(children.domain) as node:
+        yield node
+
+
+def latest(observer: Observer, kind: Any, topic: str) -> dict[str, Any]:
+    heard: dict[str, Any] = {}
+    observer.create_subscription(
+        kind, topic, lambda message: heard.update(message=message), LATCHED_PROFILE
+    )
+    return heard
+
+
+def test_a_late_viewer_gets_points_markers_and_frames(
+    children: Children, observer: Observer, submaps: tuple[SubMap, ...]
+) -> None:
+    children.start('fusion', FUSION, {'merge_period': 0.2, 'max_ellipsoids': 7})
+    for submap in submaps:
+        observer.send(f'/{submap.robot_id}/submap', submap)
+    spin_until(
+        [observer],
+        lambda: observer.heard.is_complete and observer.heard.status.merged == len(submaps),
+        'all merged',
+    )
+    points = latest(observer, PointCloud2, '/fusion_node/points')
+    markers = latest(observer, visualization.MarkerArray, '/fusion_node/markers')
+    frames = latest(observer, TFMessage, '/tf_static') if TFMessage else {'message': None}
+    spin_until([observer], lambda: points and markers and frames, 'the latest of each')
+
+    fusion = fuse(submaps, FusionConfig(map_id='fusion_node/global'))
+    cloud = points['message']
+    assert cloud.header.frame_id == 'global'
+    assert [field.name for field in cloud.fields] == ['x', 'y', 'z', 'rgb', 'std', 'views']
+    found = np.frombuffer(bytes(cloud.data), POINT)
+    expected = map_points(fusion)
+    assert len(found) == cloud.width == len(expected)
+    xyz = np.column_stack([found['x'], found['y'], found['z']])
+    np.testing.assert_allclose(xyz, expected.points_global, rtol=1e-5, atol=1e-5)
+    np.testing.assert_array_equal(found['views'], expected.views)
+    palette = {packed(colour) for colour in (*robot_colours(fusion).values(), SHARED)}
+    assert set(found['rgb'].tolist()) == palette
+    known = np.isfinite(found['std'])
+    assert known.sum() == expected.landmark_count
+    assert (found['std'][known] > 0.0).all()
+    assert_markers(markers['message'].markers, fusion, submaps)
+    if TFMessage is None:
+        assert MISSING in children.log('fusion').read_text()
+    else:
+        assert_frames(frames['message'].transforms, fusion)
+    assert children.ended() == ''
+
+
+def packed(colour: tuple[int, int, int]) -> int:
+    return (colour[0] << 16) | (colour[1] << 8) | colour[2]
+
+
+def assert_markers(markers: Any, fusion: Any, submaps: tuple[SubMap, ...]) -> None:
+    kind = visualization.Marker
+    assert markers[0].action == kind.DELETEALL
+    by_namespace: dict[str, list[Any]] = {}
+    for marker in markers[1:]:
+        by_namespace.setdefault(marker.ns, []).append(marker)
+        assert marker.header.frame_id == 'global'
+        if marker.type == kind.SPHERE:
+            assert min(marker.scale.x, marker.scale.y, marker.scale.z) > 0.0
+    (links,) = by_namespace['links']
+    joined = [pair for pair in fusion.pairs if pair.shared]
+    assert len(links.points) == 2 * len(joined) > 0
+    assert {marker.text for marker in by_namespace['labels']} == {x.map_id for x in submaps}
+    assert len(by_namespace['landmark_std']) == 7
+    assert len(by_namespace['frames']) == len(submaps)
+    # The one that holds the global frame has no uncertainty.
+    assert len(submaps) - 1 <= len(by_namespace['frame_std']) <= len(submaps)
+
+
+def assert_frames(transforms: Any, fusion: Any) -> None:
+    items = {item.submap.frame_id: item for item in fusion.in_state(State.MERGED)}
+    assert {x.child_frame_id for x in transforms} == set(items)
+    for sent in transforms:
+        assert sent.header.frame_id == 'global'
+        at, turn = sent.transform.translation, sent.transform.rotation
+        S_global_map = items[sent.child_frame_id].S_global_map
+        np.testing.assert_allclose([at.x, at.y, at.z], S_global_map.translation, atol=1e-9)
+        x, y, z, w = turn.x, turn.y, turn.z, turn.w
+        # First column of the rotation.
+        column = [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)]
+        np.testing.assert_allclose(column, S_global_map.rotation[:, 0], atol=1e-9)
+
+
+def test_colours_do_not_depend_on_the_order_of_arrival(submaps: tuple[SubMap, ...]) -> None:
+    there, back = fuse(submaps), fuse(Snapshot(submaps[::-1]))
+    assert robot_colours(there) == robot_colours(back)
+    assert make_cloud(there).data == make_cloud(back).data
+
+
+def test_frames_that_collide_are_left_out_and_named(submaps: tuple[SubMap, ...]) -> None:
+    from dataclasses import replace
+
+    first, second, *others = submaps
+    named = [replace(first, frame_id='map'), replace(second, frame_id='/map'), *others]
+    placed, problems = placeable(fuse(named), 'global')
+    assert {x.submap.map_id for x in placed} == {x.map_id for x in others}
+    assert problems == ["frame 'map' belongs to 2 sub-maps: none of them is in TF"]
+    named = [replace(first, frame_id='global'), second, *others]
+    placed, problems = placeable(fuse(named), 'global')
+    assert len(placed) == len(submaps) - 1
+    assert len(problems) == 1
+
+
+def test_nothing_is_drawn_of_nothing() -> None:
+    assert make_cloud(fuse(())).data == b''
+
+
+def test_axes_of_an_ellipsoid() -> None:
+    rng = np.random.default_rng(0)
+    half = rng.normal(size=(3, 3))
+    covariance = half @ half.T
+    diameters, rotation = axes(covariance, 1e2)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    rebuilt = rotation @ np.diag((diameters / 4.0) ** 2) @ rotation.T
+    np.testing.assert_allclose(rebuilt, covariance, atol=1e-9)
+    assert (axes(np.diag([1e9, 1.0, 0.0]), 5.0)[0] <= 10.0).all()
+    assert (axes(np.zeros((3, 3)), 5.0)[0] > 0.0).all()

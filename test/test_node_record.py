@@ -1,0 +1,111 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded from running nodes, replayed, and gone on with from a saved state."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ros_processes import FUSION, Observer, load, make_recording, observing, spin_until
+from rosbags.rosbag2 import Reader
+
+from mapmerge_ros.cli.main import main
+from mapmerge_ros.cli.processes import Children, free_domain
+from mapmerge_ros.fusion import FusionEngine
+from mapmerge_ros.io import encode_submap, write_submaps
+from mapmerge_ros.io.bags import read_raw
+from mapmerge_ros.io.state import save_state
+from mapmerge_ros.io.typestore import SUBMAP
+from mapmerge_ros.submap import SubMap
+
+
+@pytest.fixture(scope='module')
+def submaps(tmp_path_factory: pytest.TempPathFactory) -> tuple[SubMap, ...]:
+    return load(make_recording(tmp_path_factory.mktemp('recording')))
+
+
+@pytest.fixture
+def children(tmp_path: Path) -> Iterator[Children]:
+    with Children(free_domain(), tmp_path / 'logs') as started:
+        yield started
+
+
+@pytest.fixture
+def observer(children: Children) -> Iterator[Observer]:
+    with observing(children.domain) as node:
+        yield node
+
+
+def test_what_was_said_is_recorded_what_was_latched_before_too(
+    children: Children, observer: Observer, submaps: tuple[SubMap, ...], tmp_path: Path
+) -> None:
+    file = tmp_path / 'site.mcap'
+    observer.send('/a/submap', submaps[0])
+    children.start('fusion', FUSION, {'merge_period': 0.2})
+    command = [sys.executable, '-m', 'mapmerge_ros.cli.main', 'record', '-o', str(file)]
+    log = (tmp_path / 'record.log').open('wb')
+    recorder = subprocess.Popen(
+        command, stdout=log, stderr=subprocess.STDOUT, env=os.environ, start_new_session=True
+    )
+    try:
+        spin_until([observer], lambda: observer.heard_by('/a/submap') == 2, 'both listen')
+        observer.send('/b/submap', submaps[1], latched=False)
+        spin_until([observer], lambda: observer.heard_by('/b/submap') == 2, 'both listen')
+        observer.send('/b/submap', submaps[1], latched=False)
+        spin_until(
+            [observer],
+            lambda: observer.heard.is_complete and observer.heard.status.merged >= 2,
+            'a map',
+        )
+        words = (tmp_path / 'record.log').read_text
+        spin_until([observer], lambda: '/fusion_node/status' in words(), 'results')
+    finally:
+        # As Ctrl-C in a terminal does: the whole group hears it.
+        os.killpg(recorder.pid, signal.SIGINT)
+        assert recorder.wait(20) == 0, words()
+        log.close()
+    assert 'messages of' in words()
+    raw = set(read_raw(file, SUBMAP))
+    assert {encode_submap(submaps[0]), encode_submap(submaps[1])} <= raw
+    with Reader(file) as reader:
+        topics = {x.topic for x in reader.connections if x.msgcount}
+    assert {'/fusion_node/alignments', '/fusion_node/global_map', '/fusion_node/status'} <= topics
+    assert main(['info', str(file)]) == 0
+
+
+def test_a_replay_goes_on_from_a_state(submaps: tuple[SubMap, ...], tmp_path: Path) -> None:
+    engine, half = FusionEngine(), len(submaps) // 2
+    for submap in submaps[:half]:
+        engine.add(submap)
+    engine.fuse()
+    save_state(tmp_path / 'state.mcap', engine.state(), 0)
+
+    def replayed(name: str, part: tuple[SubMap, ...], *more: str) -> Any:
+        bag, out = tmp_path / f'{name}.mcap', tmp_path / name
+        write_submaps(bag, [('/submaps', k, submap) for k, submap in enumerate(part)])
+        assert main(['replay', str(bag), '--out', str(out), *more]) == 0
+        return json.loads((out / 'summary.json').read_text())
+
+    whole = replayed('whole', submaps)
+    rest = replayed('rest', submaps[half:], '--resume', str(tmp_path / 'state.mcap'))
+    assert [item['map_id'] for item in rest['sub_maps']] == [x.map_id for x in submaps]
+    assert rest['test']['a_tilde'] == pytest.approx(whole['test']['a_tilde'], rel=1e-9)
+    assert [x['state'] for x in rest['sub_maps']] == [x['state'] for x in whole['sub_maps']]
+    missing = ['replay', str(tmp_path / 'whole.mcap'), '--resume', str(tmp_path / 'no.mcap')]
+    assert main([*missing, '--out', str(tmp_path / 'x')]) == 1
+
+
+def test_record_says_what_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['record', '-o', 'x.bag']) == 2
+    assert main(['record', '-o', 'x.mcap', '--topics', '(']) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 2
+    assert '.mcap' in errors[0]
