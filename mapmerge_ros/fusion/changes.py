@@ -10,7 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.honest import Examination
 from mapmerge_ros.fusion.names import Names
@@ -96,6 +96,9 @@ def find_off(
     Collect what an examination says has moved or does not fit.
 
     Of two sub-maps that see an object at different places the newer one has it where it is now.
+    A single landmark that does not fit is off. Only where the maps have errors that the textbook
+    does not know, and ids say that it is the same point, it stays: there it is a bad track, which
+    the full bundle would have to live with too.
     """
     at, sources, p_values, objects = list[Ints](), list[Floats](), list[float](), list[int]()
     if found.model is not None and found.tests is not None:
@@ -107,6 +110,8 @@ def find_off(
             objects += [number] * count
         in_objects = np.concatenate([np.zeros(0, np.int64), *at])
         alone = found.aside[~np.isin(members.tracks[found.aside], members.tracks[in_objects])]
+        if not found.model.is_textbook:
+            alone = alone[~_same_by_id(alone, members, submaps)]
         at.append(alone)
         sources.append(found.tests.covariance[alone])
         p_values += found.tests.p_value[alone].tolist()
@@ -176,6 +181,13 @@ def describe(
             )
         )
     return tuple(changes)
+
+
+def _same_by_id(at: Ints, members: Members, submaps: Sequence[SubMap]) -> Mask:
+    """Whether some other member of the same track (m,) is in the same id space."""
+    spaces = np.array([submap.id_space for submap in submaps])[members.maps]
+    same = (members.tracks[:, None] == members.tracks[at]) & (spaces[:, None] == spaces[at])
+    return np.asarray((spaces[at] != '') & (same.sum(axis=0) > 1))
 
 
 def _seen_by_newest(group: Ints, members: Members, submaps: Sequence[SubMap]) -> Ints:

@@ -77,6 +77,7 @@ def merge_component(
         )
     component = replace(
         merged.component,
+        starts=first.solution.estimate.starts,
         examination=first.examination,
         changes=state.changes(submaps, merged.component.names),
     )
@@ -138,9 +139,11 @@ class _Task:
         association: Association,
         taken_out: tuple[tuple[Off, Association, Solution], ...],
     ) -> _State:
+        # A basin that was believed before is not looked for again.
+        config = replace(self.config, max_starts=1) if taken_out else self.config
         with self.stopwatch.measure('merge'):
             solution = solve(
-                self.submaps, association, self.links, self.noise, self.anchor, self.config
+                self.submaps, association, self.links, self.noise, self.anchor, config
             )
         with self.stopwatch.measure('test'):
             gauge = min(submap.gauge for submap in self.submaps)
