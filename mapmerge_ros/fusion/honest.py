@@ -168,11 +168,11 @@ def _under_model(
     if textbook is None:
         return _judged(fitted, np.inf)
     state = _state(merge, data, textbook, fitted)
-    objects = _confirmed(state, suspects, fitted.model)
+    objects = _confirmed(state, merge.points, suspects, fitted.model)
     if len(objects) < len(suspects):
         fitted = _fit(data, highest, _members(objects), fitted.model.variances)
         state = _state(merge, data, textbook, fitted)
-        objects = _confirmed(state, objects, fitted.model)
+        objects = _confirmed(state, merge.points, objects, fitted.model)
     tests = conditional_tests(state, np.union1d(_members(objects), fitted.aside))
     p_values = fitted.model.tails.p_value(tests.statistic, state.redundancy)
     return replace(
@@ -196,18 +196,21 @@ def _state(
 ) -> Sensitivity:
     if fitted.model.is_textbook:
         return textbook
-    return model_sensitivity(merge, data, fitted.model)
+    return replace(model_sensitivity(merge, data, fitted.model), follow=textbook.follow)
 
 
 def _confirmed(
-    state: Sensitivity, suspects: tuple[MovedObject, ...], model: CovarianceModel
+    state: Sensitivity,
+    points: Floats,
+    suspects: tuple[MovedObject, ...],
+    model: CovarianceModel,
 ) -> tuple[MovedObject, ...]:
     """Suspects that the model does not explain, each with all others unlocked."""
     confirmed: list[MovedObject] = []
     for moved in suspects:
         others = [other.members for other in suspects if other is not moved]
         rest = state.unlock(np.concatenate(others)) if others else state
-        again = common_motion(rest, moved.members)
+        again = common_motion(rest, points, moved.members)
         stands = again.without_loudest >= LEAST_WITHOUT_LOUDEST
         if stands and again.statistic >= LEAST_STATISTIC * model.tails.mean:
             confirmed.append(again)
