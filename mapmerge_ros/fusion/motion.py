@@ -90,7 +90,7 @@ def _fitted(
         matrix += 1e-12 * np.diag(matrix).max() * np.eye(len(free))
         step = np.zeros(6)
         step[free] = np.linalg.solve(matrix, basis.T @ (score - information @ moved.ravel()))
-        angle = np.linalg.norm(step[:3])
+        angle = float(np.linalg.norm(step[:3]))
         turn = Rotation.from_rotvec(step[:3] * min(1.0, 0.5 / max(angle, 1e-12))) * turn
         translation = translation + step[3:]
         moved = turn.apply(before - centre) - (before - centre) + translation
@@ -99,4 +99,3 @@ def _fitted(
     covariance = np.zeros((6, 6))
     covariance[np.ix_(free, free)] = np.linalg.inv(matrix)
     return RigidMotion(centre, turn.as_rotvec(), translation, covariance)
-

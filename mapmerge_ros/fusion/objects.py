@@ -167,7 +167,7 @@ def _around(patch: Patch, inside: Ints) -> Ints:
     outside = np.setdiff1d(np.arange(len(patch)), inside)
     tree = cKDTree(patch.points[inside])
     reach = 2.0 * np.asarray(tree.query(patch.points[inside], 2)[0])[:, 1].max()
-    return outside[np.asarray(tree.query(patch.points[outside])[0]) <= reach]
+    return np.asarray(outside[tree.query(patch.points[outside])[0] <= reach])
 
 
 def _tested(state: Sensitivity, points: Floats, patch: Patch, inside: Ints) -> MovedObject:

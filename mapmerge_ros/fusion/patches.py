@@ -108,7 +108,7 @@ class Patch:
         return _squares(scores.sum(axis=1)[:, None] - scores, left).min(axis=1), rows
 
     def _sums(self, inside: Ints, motion: int) -> tuple[Floats, Floats, Floats]:
-        """b (p,), A (p, p), and J B (n, 3, p) of the members inside."""
+        """Sums b (p,), A (p, p), and J B (n, 3, p), of the members inside."""
         at = (3 * inside[:, None] + np.arange(3)).ravel()
         basis = self.basis[inside, :, :motion].reshape(-1, motion)
         pushed = self.information[:, at] @ basis
@@ -118,7 +118,9 @@ class Patch:
 
     def _scores(self, rows: Ints, motion: int) -> Floats:
         """B_i's_i (..., p)."""
-        return np.asarray(np.einsum('...ip,...i->...p', self.basis[rows, :, :motion], self.score[rows]))
+        return np.asarray(
+            np.einsum('...ip,...i->...p', self.basis[rows, :, :motion], self.score[rows])
+        )
 
     def _own(self, rows: Ints, motion: int) -> Floats:
         """B_i'J_iiB_i (..., p, p)."""
