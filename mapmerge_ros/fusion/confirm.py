@@ -57,7 +57,8 @@ def p_objects(objects: tuple[MovedObject, ...], model: CovarianceModel) -> float
 
 
 def _stands(moved: MovedObject, model: CovarianceModel) -> bool:
+    scale = model.tails.mean
     return (
-        moved.without_loudest >= LEAST_WITHOUT_LOUDEST
-        and moved.statistic >= LEAST_STATISTIC * model.tails.mean
+        moved.without_loudest >= LEAST_WITHOUT_LOUDEST * scale
+        and moved.statistic >= LEAST_STATISTIC * scale
     )

@@ -24,14 +24,14 @@ would explain two bad tracks among them.
 
 LEAST_STATISTIC = 40.0
 """
-Leave-one-out χ²(3) of a common motion from which it is an object, where noise is Gaussian.
+χ²(3) of a common motion, one member free, from which it is an object, where noise is Gaussian.
 
 p = 1e-8, for hundreds of overlapping neighbourhoods.
 """
 
 LEAST_WITHOUT_LOUDEST = 20.0
 """
-χ²(3) that must be left without the loudest fifth of the members: two bad tracks are no object.
+χ²(3) that must be left with the loudest fifth of the members free: two bad tracks are no object.
 
 Suspects of more than five landmarks on unchanged sets have up to 14, moved objects 26 and more.
 """
@@ -58,12 +58,12 @@ class MovedObject:
     """(m,) ascending"""
     statistic: float
     """
-    χ²(3) of the common motion, the least with one member left out.
+    χ²(3) of the common motion, the least with one member free.
 
     That of a rotation as well, χ²(6), is divided by `RIGID_FACTOR` to count the same.
     """
     without_loudest: float
-    """The same with that fifth of the members left out that speaks for it most"""
+    """The same with that fifth of the members free that speaks for it most"""
     motion: RigidMotion
     """Of this sub-map's landmarks, from where the others see them"""
     ambiguous: bool
@@ -176,7 +176,7 @@ def _tested(state: Sensitivity, points: Floats, patch: Patch, inside: Ints) -> M
     views = np.bincount(state.members.tracks)
     return MovedObject(
         members=members,
-        statistic=max(patch.with_one_less(inside, each).min() / _factor(each) for each in motions),
+        statistic=max(patch.with_one_free(inside, each).min() / _factor(each) for each in motions),
         without_loudest=max(
             patch.without_loudest(inside, each) / _factor(each) for each in motions
         ),

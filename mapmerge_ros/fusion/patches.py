@@ -5,11 +5,15 @@ Tests of landmarks of one sub-map that share a motion: a translation, or a rigid
 
 With displacements D = B θ of the members the price is price - 2 b'θ + θ'Aθ, b = B's, A = B'JB;
 b'A⁻¹b is χ²(3) or χ²(6). All sets that differ from one by a single member are tested at once.
+
+A member that is left out of a test is *free*: unlocked, with a displacement of its own. Would it
+be held in place, it would pull at its neighbours, that moved as it did, all the harder the
+smoother errors are.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.stats
@@ -88,24 +92,56 @@ class Patch:
         matrices = matrix - crossing - crossing.swapaxes(1, 2) + self._own(inside, motion)
         return _squares(total - self._scores(inside, motion), matrices)
 
+    def with_one_free(self, inside: Ints, motion: int) -> Floats:
+        """Statistic of the others with each of the rows `inside` (m,) free."""
+        total, matrix, pushed = self._sums(inside, motion)
+        return _free(
+            total,
+            matrix,
+            pushed[inside],
+            self.basis[inside, :, :motion],
+            self._blocks()[inside],
+            self.score[inside],
+        )
+
     def without_loudest(self, inside: Ints, motion: int) -> float:
-        """Statistic without those, one in five, that speak for the motion most."""
+        """Statistic with those free, one in five, that speak for the motion most."""
+        patch = self
         for _ in range(-(-len(inside) // 5)):
-            inside = np.delete(inside, int(np.argmin(self.with_one_less(inside, motion))))
-        return self.statistic(inside, motion)
+            at = int(np.argmin(patch.with_one_free(inside, motion)))
+            patch, inside = patch._freed(int(inside[at])), np.delete(inside, at)
+        return patch.statistic(inside, motion)
 
     def neighbourhoods(self, count: int, motion: int) -> tuple[Floats, Ints]:
-        """Statistics (n,), the least with one left out, and rows (n, count) of every one."""
+        """Statistics (n,), the least with one of them free, and rows (n, count) of every one."""
         rows = np.asarray(cKDTree(self.points).query(self.points, count)[1], np.int64)
         n, size = len(self), 3 * count
         blocks = self.information.reshape(n, 3, n, 3).swapaxes(1, 2)
         near = blocks[rows[:, :, None], rows[:, None, :]].swapaxes(2, 3).reshape(n, size, size)
         basis = self.basis[rows, :, :motion]
         pushed = (near @ basis.reshape(n, size, motion)).reshape(n, count, 3, motion)
-        crossing = basis.swapaxes(2, 3) @ pushed
-        scores, own = self._scores(rows, motion), self._own(rows, motion)
-        left = crossing.sum(axis=1)[:, None] - crossing - crossing.swapaxes(2, 3) + own
-        return _squares(scores.sum(axis=1)[:, None] - scores, left).min(axis=1), rows
+        matrix = (basis.swapaxes(2, 3) @ pushed).sum(axis=1)
+        total = np.einsum('ncip,nci->np', basis, self.score[rows])
+        values = _free(
+            total[:, None], matrix[:, None], pushed, basis, self._blocks()[rows], self.score[rows]
+        )
+        return values.min(axis=1), rows
+
+    def _freed(self, row: int) -> Patch:
+        at = slice(3 * row, 3 * row + 3)
+        columns = self.information[:, at]
+        solved = np.linalg.solve(columns[at], columns.T)
+        return replace(
+            self,
+            score=self.score - (self.score[row] @ solved).reshape(-1, 3),
+            information=self.information - columns @ solved,
+        )
+
+    def _blocks(self) -> Floats:
+        """J (n, 3, 3) of each with itself."""
+        n = len(self)
+        every = np.arange(n)
+        return self.information.reshape(n, 3, n, 3)[every, :, every, :]
 
     def _sums(self, inside: Ints, motion: int) -> tuple[Floats, Floats, Floats]:
         """Sums b (p,), A (p, p), and J B (n, 3, p), of the members inside."""
@@ -124,11 +160,28 @@ class Patch:
 
     def _own(self, rows: Ints, motion: int) -> Floats:
         """B_i'J_iiB_i (..., p, p)."""
-        n = len(self)
-        every = np.arange(n)
-        blocks = self.information.reshape(n, 3, n, 3)[every, :, every, :]
         basis = self.basis[:, :, :motion]
-        return np.asarray((basis.swapaxes(1, 2) @ blocks @ basis)[rows])
+        return np.asarray((basis.swapaxes(1, 2) @ self._blocks() @ basis)[rows])
+
+
+def _free(
+    total: Floats, matrix: Floats, pushed: Floats, basis: Floats, own: Floats, score: Floats
+) -> Floats:
+    """
+    Statistics (..., m) of a motion of m members with each of them free.
+
+    b (..., p), A (..., p, p), then by member J B, B, J and s.
+    """
+    crossing = basis.swapaxes(-1, -2) @ pushed
+    inner = basis.swapaxes(-1, -2) @ own @ basis
+    rest = matrix - crossing - crossing.swapaxes(-1, -2) + inner
+    left = total - np.einsum('...ip,...i->...p', basis, score)
+    towards = pushed - own @ basis
+    solved = np.linalg.solve(own, towards)
+    return _squares(
+        left - np.einsum('...ip,...i->...p', solved, score),
+        rest - towards.swapaxes(-1, -2) @ solved,
+    )
 
 
 def _squares(vectors: Floats, matrices: Floats) -> Floats:
