@@ -32,9 +32,10 @@ p = 1e-8, for hundreds of overlapping neighbourhoods.
 LEAST_WITHOUT_LOUDEST = 20.0
 """
 χ²(3) that must be left with the loudest fifth of the members free: two bad tracks are no object.
-
-Suspects of more than five landmarks on unchanged sets have up to 14, moved objects 26 and more.
 """
+
+MIN_MEMBERS = 4
+"""Of which two are free in that test; EuRoC has two bad tracks side by side, and one that fits."""
 
 MIN_GAIN = 6.0
 """Rise of the statistic for which a landmark enters or leaves an object."""
@@ -63,7 +64,7 @@ class MovedObject:
     That of a rotation as well, χ²(6), is divided by `RIGID_FACTOR` to count the same.
     """
     without_loudest: float
-    """The same with that fifth of the members free that speaks for it most"""
+    """The same with that fifth of the members, at least two, free that speaks for it most"""
     motion: RigidMotion
     """Of this sub-map's landmarks, from where the others see them"""
     ambiguous: bool
@@ -109,15 +110,18 @@ def grown(state: Sensitivity, points: Floats, seed: Ints, scale: float) -> Moved
     """
     Object about some of its members; `scale`: statistics of unmoved landmarks over Gaussian ones.
 
-    None if fewer than three members are left.
+    None if fewer than `MIN_MEMBERS` are left.
     """
     patch = _patch(state, points, seed)
     inside = _settled(patch, patch.rows(seed), TRANSLATION, scale)
-    if len(inside) >= MIN_TURNED:
-        turned = patch.statistic(inside, RIGID) - patch.statistic(inside, TRANSLATION)
-        if turned >= MIN_TURN * scale:
-            inside = _settled(patch, inside, RIGID, scale)
-    return _tested(state, points, patch, inside) if len(inside) >= 3 else None
+    value = patch.statistic(inside, TRANSLATION) + MIN_TURN * scale
+    # What turns about its own centre is two objects for a translation: try from the seed, too.
+    for start in (inside, patch.rows(seed)):
+        if len(start) >= MIN_TURNED:
+            turned = _settled(patch, start, RIGID, scale)
+            if patch.statistic(turned, RIGID) > value:
+                inside, value = turned, patch.statistic(turned, RIGID)
+    return _tested(state, points, patch, inside) if len(inside) >= MIN_MEMBERS else None
 
 
 def _patch(state: Sensitivity, points: Floats, members: Ints) -> Patch:
@@ -150,7 +154,7 @@ def _settled(patch: Patch, inside: Ints, motion: int, scale: float) -> Ints:
     for _ in range(2 * len(patch)):
         near = _around(patch, inside)
         more = patch.with_one_more(inside, near, motion)
-        less = patch.with_one_less(inside, motion) if len(inside) > 3 else np.zeros(0)
+        less = patch.with_one_less(inside, motion) if len(inside) > MIN_MEMBERS else np.zeros(0)
         values = np.concatenate([more, less, [-np.inf]])
         at = int(np.argmax(values))
         # one that stays inside may cost a little, one that enters must bring something

@@ -105,9 +105,9 @@ class Patch:
         )
 
     def without_loudest(self, inside: Ints, motion: int) -> float:
-        """Statistic with those free, one in five, that speak for the motion most."""
+        """Statistic with those free, one in five but two at least, that speak for it most."""
         patch = self
-        for _ in range(-(-len(inside) // 5)):
+        for _ in range(max(2, -(-len(inside) // 5))):
             at = int(np.argmin(patch.with_one_free(inside, motion)))
             patch, inside = patch._freed(int(inside[at])), np.delete(inside, at)
         return patch.statistic(inside, motion)
