@@ -144,7 +144,7 @@ def test_an_object_of_two_maps_is_ambiguous():
 
 def test_single_landmarks_are_doubtful_and_hardly_any_other():
     """3 of 30 landmarks of one map moved by 6 standard deviations, Gaussian noise, 40 merges."""
-    rng, found, false, covered, reported = np.random.default_rng(8), 0, 0, 0, 0
+    rng, found, false = np.random.default_rng(8), 0, 0
     for _ in range(40):
         points, members, matrices = scene(rng, landmarks=30, views=(2, 4))
         errors = noise(rng, points, members, matrices)
