@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mapmerge_ros.bundle import FramePrior, compress, eliminate, linearise
+from mapmerge_ros.fusion import fuse
 from mapmerge_ros.geometry import Gauge, align
 from mapmerge_ros.simulation import (
     Fleet,
@@ -285,3 +286,24 @@ def test_a_simulated_map_compresses_exactly_in_any_gauge_of_its_own(fleet: Fleet
     gain = rigid.triangle().T @ rigid.triangle() - small.triangle().T @ small.triangle()
     values = np.linalg.eigvalsh(gain)
     assert np.abs(values[:-1]).max() < 1e-4 * values[-1] + 1e-6 * np.sum(small.triangle() ** 2)
+
+
+def test_what_came_or_went_is_seen_by_those_who_were_there_alone():
+    fleet = simulate_fleet(FleetConfig(added=1, removed=1), 3)
+    came, went = fleet.truth.temporary
+    for stay in (came, went):
+        seen = fleet.truth.sees(stay.landmark_ids)
+        for visit in range(4):
+            assert stay.is_there(visit) or not seen[visit].any()
+        assert seen.any()
+    assert came.first_visit > 0
+    assert came.visit_after == 4
+    assert went.first_visit == 0
+    assert went.visit_after < 4
+
+
+def test_what_is_not_seen_again_has_not_moved():
+    for seed in range(3):
+        submaps = simulate_fleet(FleetConfig(added=1, removed=1), seed).submaps()
+        found = fuse(submaps).components[0].examination
+        assert not found.objects

@@ -19,7 +19,14 @@ from mapmerge_ros.cli.outputs import check_file, ros_name
 from mapmerge_ros.fusion import FusionConfig
 from mapmerge_ros.fusion.offline import choose_for_bundles
 from mapmerge_ros.io import McapRecorder, NamedBundle, encode_bundle, record, replacing
-from mapmerge_ros.io.truth import RecordingTruth, TrueMap, TrueMove, truth_json, truth_path
+from mapmerge_ros.io.truth import (
+    RecordingTruth,
+    TrueMap,
+    TrueMove,
+    TrueStay,
+    truth_json,
+    truth_path,
+)
 from mapmerge_ros.io.typestore import BUNDLE
 from mapmerge_ros.io.wording import counted, readable_bytes
 from mapmerge_ros.simulation import Fleet, FleetConfig, Sensing, simulate_fleet
@@ -41,7 +48,7 @@ def add_parser(subparsers: Subparsers) -> None:
         'sub-maps as a recording, one after the other. What is true goes to OUT.truth.json\n'
         'beside OUT.mcap; replay then says how far the merged map is from it.',
         '  mapmerge simulate drones.mcap\n'
-        '  mapmerge simulate moved.mcap --drones 6 --moved 2 --seed 7\n'
+        '  mapmerge simulate moved.mcap --drones 6 --moved 2 --removed 1 --seed 7\n'
         '  mapmerge simulate vio.mcap --gauge 4 --sigma 1.0\n'
         '  mapmerge simulate strangers.mcap --ids private --flips 0.1',
     )
@@ -56,6 +63,8 @@ def add_parser(subparsers: Subparsers) -> None:
         ('--sigma', number, 'PX', SENSING.sigma_px, 'noise of an image coordinate'),
         ('--moved', options.natural, 'N', 0, 'objects that are moved between two visits'),
         ('--moved-distance', number, 'M', FLEET.moved_distance, 'by how many metres'),
+        ('--added', options.natural, 'N', 0, 'objects that come between two visits'),
+        ('--removed', options.natural, 'N', 0, 'objects that are taken away between two visits'),
     ):
         help_text = f'{text} (default: %(default)s)'
         add(option, type=kind, metavar=metavar, default=default, help=help_text)
@@ -103,6 +112,8 @@ def run(args: argparse.Namespace) -> int:
         descriptors=not args.no_descriptors,
         moved=args.moved,
         moved_distance=args.moved_distance,
+        added=args.added,
+        removed=args.removed,
     )
     with console.working('simulating'):
         fleet = simulate_fleet(config, args.seed)
@@ -120,7 +131,11 @@ def run(args: argparse.Namespace) -> int:
             )
             if args.bundles:
                 _record_bundles(recorder, fleet, submaps)
-    moved = f', {counted(args.moved, "object")} moved' if args.moved else ''
+    changes = ''.join(
+        f', {counted(count, "object")} {what}'
+        for what in ('moved', 'added', 'removed')
+        if (count := getattr(args, what))
+    )
     compressed = sum(submap.compressed_count for submap in submaps)
     if announced := [submap.map_id for submap in submaps if not submap.compressed_count]:
         console.warn(
@@ -130,7 +145,7 @@ def run(args: argparse.Namespace) -> int:
     screen = console.stdout()
     screen.print(
         f'{counted(len(submaps), "drone")}, {compressed} compressed landmarks, '
-        f'{readable_bytes(size_bytes)}{moved}: {args.out} {truth_file.name}',
+        f'{readable_bytes(size_bytes)}{changes}: {args.out} {truth_file.name}',
         soft_wrap=True,
     )
     return 0
@@ -189,6 +204,13 @@ def recording_truth(fleet: Fleet) -> RecordingTruth:
                 displacement_world=moved.displacement_world,
             )
             for moved in truth.moved
+        ),
+        temporary=tuple(
+            TrueStay(
+                stay.landmark_ids,
+                tuple(n.map_id for k, n in enumerate(fleet.names) if stay.is_there(k)),
+            )
+            for stay in truth.temporary
         ),
     )
 

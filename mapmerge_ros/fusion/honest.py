@@ -17,7 +17,8 @@ import scipy.stats
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.conditional import conditional_tests
-from mapmerge_ros.fusion.contrasts import Contrasts, contrasts, scene_radius
+from mapmerge_ros.fusion.confirm import confirmed, members_of, p_objects
+from mapmerge_ros.fusion.contrasts import NOBODY, Contrasts, contrasts, scene_radius
 from mapmerge_ros.fusion.covariance_model import (
     LARGEST_TAIL,
     TEXTBOOK,
@@ -27,12 +28,11 @@ from mapmerge_ros.fusion.covariance_model import (
     model_sensitivity,
     settled,
 )
-from mapmerge_ros.fusion.local import LocalTests, Sensitivity, sensitivity, tail
+from mapmerge_ros.fusion.doubtful import doubtful_members
+from mapmerge_ros.fusion.local import LocalTests, Sensitivity, forward_selection, sensitivity, tail
 from mapmerge_ros.fusion.objects import (
     LEAST_STATISTIC,
-    LEAST_WITHOUT_LOUDEST,
     MovedObject,
-    common_motion,
     find_objects,
 )
 from mapmerge_ros.fusion.quadratic import Quadratic
@@ -111,6 +111,12 @@ class Examination:
 
     Zero if more is set aside than may be.
     """
+    doubtful: Ints
+    """
+    Single members that are off, under false-discovery control, none of them in an object.
+
+    Nobody where the geometry is not certain, or in a very large merge.
+    """
 
 
 def examine(merge: Quadratic, redundancy: float, *, certain: bool) -> Examination:
@@ -139,7 +145,7 @@ def examine(merge: Quadratic, redundancy: float, *, certain: bool) -> Examinatio
         gaussian = not suspects and are_gaussian(statistics, LARGEST_TAIL)
     enough = len(merge.members) - len(merge.points) >= MIN_CONTRASTS
     if not (certain and enough) or (gaussian and plain.p_value >= TESTED_FIRST):
-        return plain
+        return _with_doubtful(plain, state) if state and certain else plain
     try:
         found = _under_model(merge, state, plain.objects)
         return replace(found, textbook_tests=plain.textbook_tests)
@@ -154,32 +160,49 @@ def _usual(statistics: Floats) -> float:
 
 def _by_textbook(merge: Quadratic, redundancy: float) -> Examination:
     p_value = float(tail(np.array(merge.price), merge.dof, redundancy)) if merge.dof > 0 else 1.0
-    nobody = np.zeros(0, np.int64)
-    return Examination(None, (), nobody, None, None, merge.price, merge.dof, 1.0, p_value)
+    return Examination(
+        None, (), NOBODY, None, None, merge.price, merge.dof, 1.0, p_value, doubtful=NOBODY
+    )
+
+
+def _with_doubtful(plain: Examination, state: Sensitivity) -> Examination:
+    """Believe the textbook: singles are unlocked one after the other."""
+    moved = members_of(plain.objects)
+    rest = state.unlock(moved) if len(moved) else state
+    _, singles = forward_selection(
+        rest, BAD_LEVEL, int(MAX_ASIDE * len(np.unique(state.members.tracks)))
+    )
+    tests = conditional_tests(state, np.union1d(moved, singles))
+    return replace(plain, tests=tests, doubtful=doubtful_members(tests, moved))
 
 
 def _under_model(
-    merge: Quadratic, textbook: Sensitivity | None, suspects: tuple[MovedObject, ...]
+    merge: Quadratic,
+    textbook: Sensitivity | None,
+    suspects: tuple[MovedObject, ...],
 ) -> Examination:
-    data = contrasts(merge, MAX_CONTRASTS, _members(suspects))
+    data = contrasts(merge, MAX_CONTRASTS, members_of(suspects))
     radii = MAX_OMEGA_RADII * scene_radius(merge.points) / data.unit
     highest = np.array([MAX_PHI, MAX_TAU_UNITS**2, radii**2])
-    fitted = _fit(data, highest, _members(suspects))
+    fitted = _fit(data, highest, members_of(suspects))
     if textbook is None:
         return _judged(fitted, np.inf)
     state = _state(merge, data, textbook, fitted)
-    objects = _confirmed(state, suspects, fitted.model)
-    if len(objects) < len(suspects):
-        fitted = _fit(data, highest, _members(objects), fitted.model.variances)
+    objects = confirmed(state, merge.points, suspects, fitted.model)
+    if set(members_of(objects)) != set(members_of(suspects)):
+        fitted = _fit(data, highest, members_of(objects), fitted.model.variances)
         state = _state(merge, data, textbook, fitted)
-        objects = _confirmed(state, objects, fitted.model)
-    tests = conditional_tests(state, np.union1d(_members(objects), fitted.aside))
+        objects = confirmed(state, merge.points, objects, fitted.model)
+    moved = members_of(objects)
+    tests = conditional_tests(state, np.union1d(moved, fitted.aside))
     p_values = fitted.model.tails.p_value(tests.statistic, state.redundancy)
+    tests = replace(tests, p_value=np.where(tests.testable, p_values, 1.0))
     return replace(
         _judged(fitted, state.redundancy),
         objects=objects,
-        p_objects=_p_objects(objects, fitted.model),
-        tests=replace(tests, p_value=np.where(tests.testable, p_values, 1.0)),
+        p_objects=p_objects(objects, fitted.model),
+        tests=tests,
+        doubtful=doubtful_members(tests, moved),
     )
 
 
@@ -196,22 +219,7 @@ def _state(
 ) -> Sensitivity:
     if fitted.model.is_textbook:
         return textbook
-    return model_sensitivity(merge, data, fitted.model)
-
-
-def _confirmed(
-    state: Sensitivity, suspects: tuple[MovedObject, ...], model: CovarianceModel
-) -> tuple[MovedObject, ...]:
-    """Suspects that the model does not explain, each with all others unlocked."""
-    confirmed: list[MovedObject] = []
-    for moved in suspects:
-        others = [other.members for other in suspects if other is not moved]
-        rest = state.unlock(np.concatenate(others)) if others else state
-        again = common_motion(rest, moved.members)
-        stands = again.without_loudest >= LEAST_WITHOUT_LOUDEST
-        if stands and again.statistic >= LEAST_STATISTIC * model.tails.mean:
-            confirmed.append(again)
-    return tuple(confirmed)
+    return replace(model_sensitivity(merge, data, fitted.model), follow=textbook.follow)
 
 
 def _judged(fitted: Fitted, redundancy: float) -> Examination:
@@ -227,14 +235,15 @@ def _judged(fitted: Fitted, redundancy: float) -> Examination:
     p_value = min(1.0, len(parts) * min(parts))
     if len(fitted.aside) > MAX_ASIDE * count:
         p_value = 0.0
-    model = fitted.model
-    return Examination(model, (), fitted.aside, None, None, fitted.price, fitted.dof, 1.0, p_value)
-
-
-def _p_objects(objects: tuple[MovedObject, ...], model: CovarianceModel) -> float:
-    strongest = max((moved.statistic for moved in objects), default=0.0)
-    return float(scipy.stats.chi2.sf(strongest / model.tails.mean, 3))
-
-
-def _members(objects: tuple[MovedObject, ...]) -> Ints:
-    return np.concatenate([np.zeros(0, np.int64), *(moved.members for moved in objects)])
+    return Examination(
+        fitted.model,
+        (),
+        fitted.aside,
+        None,
+        None,
+        fitted.price,
+        fitted.dof,
+        1.0,
+        p_value,
+        doubtful=NOBODY,
+    )

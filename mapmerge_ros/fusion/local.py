@@ -69,6 +69,8 @@ class Sensitivity:
     """(s,)"""
     root: Floats | None = None
     """(3s, 3u) J of the unlocked is taken away as root root'"""
+    follow: Callable[[Ints], Floats] | None = None
+    """(3m, 3m) how the merged landmarks of some members follow displacements of those"""
 
     @property
     def locked(self) -> Mask:
@@ -89,6 +91,12 @@ class Sensitivity:
             every = np.arange(count)
             blocks.append(own.reshape(count, 3, count, 3)[every, :, every, :])
         return np.concatenate(blocks)
+
+    def block(self, chosen: Ints) -> Floats:
+        """J (3m, 3m) of some members of one sub-map."""
+        k = int(self.members.maps[chosen[0]])
+        at = coordinates(chosen - self.members.of_map(k).start)
+        return self.within[k][np.ix_(at, at)]
 
     def unlock(self, chosen: Ints) -> Sensitivity:
         """
@@ -195,6 +203,12 @@ def sensitivity(merge: Quadratic, redundancy: float = np.inf) -> Sensitivity:
         shared = [own @ answered[rows] for own, rows in zip(merge.information, at, strict=True)]
         return own_part - np.concatenate(shared)
 
+    def follow(chosen: Ints) -> Floats:
+        k = int(members.maps[chosen[0]])
+        inside = coordinates(chosen - members.of_map(k).start)
+        rows = coordinates(members.tracks[chosen])
+        return np.asarray(-inverse[np.ix_(rows, at[k])] @ merge.information[k][:, inside])
+
     return Sensitivity(
         members=members,
         score=-merge.gradient,
@@ -206,6 +220,7 @@ def sensitivity(merge: Quadratic, redundancy: float = np.inf) -> Sensitivity:
         price=merge.price,
         dof=merge.dof,
         redundancy=redundancy,
+        follow=follow,
     )
 
 

@@ -11,26 +11,41 @@ from scipy.spatial import cKDTree
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.local import Sensitivity
+from mapmerge_ros.fusion.motion import RigidMotion, rigid_motion
+from mapmerge_ros.fusion.patches import RIGID, RIGID_FACTOR, TRANSLATION, Patch
 
-NEIGHBOURS = (6, 12)
-"""Landmarks that are tried as one object: small ones stand out in six, large ones in twelve."""
+SCANNED = ((6, TRANSLATION), (12, TRANSLATION), (12, RIGID))
+"""
+Landmarks that are tried as one object, and the motion that they are tried with.
+
+Small objects stand out in six, large ones in twelve. Six have 18 coordinates: a rigid motion
+would explain two bad tracks among them.
+"""
 
 LEAST_STATISTIC = 40.0
 """
-Leave-one-out χ²(3) of a common motion from which it is an object, where noise is Gaussian.
+χ²(3) of a common motion, one member free, from which it is an object, where noise is Gaussian.
 
 p = 1e-8, for hundreds of overlapping neighbourhoods.
 """
 
 LEAST_WITHOUT_LOUDEST = 20.0
 """
-χ²(3) that must be left without the loudest fifth of the members: two bad tracks are no object.
-
-Suspects of more than five landmarks on unchanged sets have up to 14, moved objects 26 and more.
+χ²(3) that must be left with the loudest fifth of the members free: two bad tracks are no object.
 """
+
+MIN_MEMBERS = 4
+"""Of which two are free in that test; EuRoC has two bad tracks side by side, and one that fits."""
 
 MIN_GAIN = 6.0
 """Rise of the statistic for which a landmark enters or leaves an object."""
+
+MIN_TURNED, MIN_TURN = 6, 20.0
+"""
+Members from which a rotation has a say in who belongs, and χ²(3) that it must bring.
+
+p = 1e-4: wrongly taken it lets a few more in.
+"""
 
 MAX_OBJECTS = 12
 """Beyond it, it is not objects that are wrong."""
@@ -38,18 +53,32 @@ MAX_OBJECTS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovedObject:
-    """Members of one sub-map with a common displacement."""
+    """Members of one sub-map with a common motion."""
 
     members: Ints
     """(m,) ascending"""
     statistic: float
-    """χ²(3) of the common displacement, the least with one member left out"""
+    """
+    χ²(3) of the common motion, the least with one member free.
+
+    That of a rotation as well, χ²(6), is divided by `RIGID_FACTOR` to count the same.
+    """
     without_loudest: float
-    """The same with that fifth of the members left out that speaks for it most"""
-    displacement: Floats
-    """(3,) global map units, of this sub-map's landmarks from where the others see them"""
-    covariance: Floats
-    """(3, 3)"""
+    """The same with that fifth of the members, at least two, free that speaks for it most"""
+    motion: RigidMotion
+    """Of this sub-map's landmarks, from where the others see them"""
+    ambiguous: bool
+    """All its landmarks are in two sub-maps only: which of the two moved cannot be told"""
+
+    @property
+    def displacement(self) -> Floats:
+        """Displacement (3,) of its centre, global map units."""
+        return self.motion.translation
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance (3, 3) of `displacement`."""
+        return self.motion.covariance[3:, 3:]
 
 
 def find_objects(state: Sensitivity, points: Floats, least: float) -> tuple[MovedObject, ...]:
@@ -63,7 +92,7 @@ def find_objects(state: Sensitivity, points: Floats, least: float) -> tuple[Move
         seed = _strongest(state, points)
         if seed is None or seed[0] < least:
             break
-        moved = _grown(state, points, seed[1])
+        moved = grown(state, points, seed[1], least / LEAST_STATISTIC)
         if moved is None or moved.statistic < least:
             break
         found.append(moved)
@@ -71,105 +100,90 @@ def find_objects(state: Sensitivity, points: Floats, least: float) -> tuple[Move
     return tuple(found)
 
 
-def common_motion(state: Sensitivity, members: Ints) -> MovedObject:
-    """Test of some members of one sub-map having one displacement in common."""
-    score, blocks = _parts(state, members[None, :])
-    covariance = np.linalg.inv(blocks[0].sum(axis=(0, 1)))
-    return MovedObject(
-        members,
-        float(_leave_one_out(score, blocks)[0]),
-        _without_loudest(state, members),
-        covariance @ score[0].sum(axis=0),
-        covariance,
-    )
+def common_motion(state: Sensitivity, points: Floats, members: Ints) -> MovedObject:
+    """Test of some members of one sub-map having one motion in common."""
+    patch = _patch(state, points, members)
+    return _tested(state, points, patch, patch.rows(members))
 
 
-def neighbourhood_statistics(state: Sensitivity, points: Floats) -> list[tuple[Floats, Ints]]:
-    """Leave-one-out statistics (c,) and members (c, m) of every neighbourhood, by sub-map."""
-    testable = state.testable()
-    every = []
-    for k in range(len(state.within)):
-        part = state.members.of_map(k)
-        own = part.start + np.flatnonzero(testable[part])
-        for count in NEIGHBOURS:
-            if len(own) < 2 * count:  # of which the rest must say where the map is
-                continue
-            near = _nearest(points[state.members.tracks[own]], count)
-            groups = np.sort(own[near], axis=1)
-            every.append((_leave_one_out(*_parts(state, groups)), groups))
-    return every
+def grown(state: Sensitivity, points: Floats, seed: Ints, scale: float) -> MovedObject | None:
+    """
+    Object about some of its members; `scale`: statistics of unmoved landmarks over Gaussian ones.
+
+    None if fewer than `MIN_MEMBERS` are left.
+    """
+    patch = _patch(state, points, seed)
+    inside = _settled(patch, patch.rows(seed), TRANSLATION, scale)
+    value = patch.statistic(inside, TRANSLATION) + MIN_TURN * scale
+    # What turns about its own centre is two objects for a translation: try from the seed, too.
+    for start in (inside, patch.rows(seed)):
+        if len(start) >= MIN_TURNED:
+            turned = _settled(patch, start, RIGID, scale)
+            if patch.statistic(turned, RIGID) > value:
+                inside, value = turned, patch.statistic(turned, RIGID)
+    return _tested(state, points, patch, inside) if len(inside) >= MIN_MEMBERS else None
+
+
+def _patch(state: Sensitivity, points: Floats, members: Ints) -> Patch:
+    return Patch.of_map(state, points, int(state.members.maps[members[0]]))
 
 
 def _strongest(state: Sensitivity, points: Floats) -> tuple[float, Ints] | None:
+    """Strongest neighbourhood of all sub-maps."""
     best: tuple[float, Ints] | None = None
-    for statistics, groups in neighbourhood_statistics(state, points):
-        at = int(np.argmax(statistics))
-        if best is None or statistics[at] > best[0]:
-            best = float(statistics[at]), groups[at]
+    for k in range(len(state.within)):
+        patch = Patch.of_map(state, points, k)
+        for count, motion in SCANNED:
+            if len(patch) < 2 * count:  # of which the rest must say where the map is
+                continue
+            statistics, rows = patch.neighbourhoods(count, motion)
+            at = int(np.argmax(statistics))
+            statistic = float(statistics[at]) / _factor(motion)
+            if best is None or statistic > best[0]:
+                best = statistic, patch.members[np.sort(rows[at])]
     return best
 
 
-def _grown(state: Sensitivity, points: Floats, seed: Ints) -> MovedObject | None:
+def _factor(motion: int) -> float:
+    return RIGID_FACTOR if motion == RIGID else 1.0
+
+
+def _settled(patch: Patch, inside: Ints, motion: int, scale: float) -> Ints:
     """Add and drop the neighbour that raises the statistic most, until none does."""
-    members, part = seed, state.members.of_map(int(state.members.maps[seed[0]]))
-    own = part.start + np.flatnonzero(state.testable()[part])
-    best = _statistic(state, members)
-    for _ in range(len(own)):
-        near = _around(points[state.members.tracks], own, members)
-        trials = [np.append(members, one) for one in near]
-        trials += [np.delete(members, at) for at in range(len(members)) if len(members) > 3]
-        values = [_statistic(state, np.sort(trial)) for trial in trials]
+    best = patch.statistic(inside, motion)
+    for _ in range(2 * len(patch)):
+        near = _around(patch, inside)
+        more = patch.with_one_more(inside, near, motion)
+        less = patch.with_one_less(inside, motion) if len(inside) > MIN_MEMBERS else np.zeros(0)
+        values = np.concatenate([more, less, [-np.inf]])
         at = int(np.argmax(values))
         # one that stays inside may cost a little, one that enters must bring something
-        if values[at] < best + MIN_GAIN or len(members) > len(own) // 2:
+        if values[at] < best + MIN_GAIN * scale or len(inside) > len(patch) // 2:
             break
-        members, best = np.sort(trials[at]), values[at]
-    return common_motion(state, members) if len(members) >= 3 else None
+        dropped = np.delete(inside, at - len(more)) if at >= len(more) else inside
+        inside = np.sort(np.append(inside, near[at])) if at < len(more) else dropped
+        best = values[at]
+    return inside
 
 
-def _around(points: Floats, own: Ints, members: Ints) -> Ints:
-    """Members outside that are as near to one inside as those are to each other."""
-    outside = np.setdiff1d(own, members)
-    inside = points[members]
-    reach = 2.0 * np.asarray(cKDTree(inside).query(inside, 2)[0])[:, 1].max()
-    distances = np.asarray(cKDTree(inside).query(points[outside])[0])
-    near = outside[distances <= reach]
-    return np.asarray(near[np.argsort(distances[distances <= reach])][:12])
+def _around(patch: Patch, inside: Ints) -> Ints:
+    """Rows outside that are as near to one inside as those are to each other."""
+    outside = np.setdiff1d(np.arange(len(patch)), inside)
+    tree = cKDTree(patch.points[inside])
+    reach = 2.0 * np.asarray(tree.query(patch.points[inside], 2)[0])[:, 1].max()
+    return np.asarray(outside[tree.query(patch.points[outside])[0] <= reach])
 
 
-def _statistic(state: Sensitivity, members: Ints) -> float:
-    score, blocks = _parts(state, members[None, :])
-    total = score[0].sum(axis=0)
-    return float(total @ np.linalg.solve(blocks[0].sum(axis=(0, 1)), total))
-
-
-def _without_loudest(state: Sensitivity, members: Ints) -> float:
-    """Statistic of the common motion without those, one in five, that speak for it most."""
-    for _ in range(-(-len(members) // 5)):
-        trials = [np.delete(members, at) for at in range(len(members))]
-        members = trials[int(np.argmin([_statistic(state, trial) for trial in trials]))]
-    return _statistic(state, members)
-
-
-def _nearest(points: Floats, count: int) -> Ints:
-    return np.asarray(cKDTree(points).query(points, count)[1], np.int64)
-
-
-def _parts(state: Sensitivity, groups: Ints) -> tuple[Floats, Floats]:
-    """Scores (c, m, 3) and blocks of J (c, m, m, 3, 3) of groups (c, m) within a sub-map."""
-    k = int(state.members.maps[groups[0, 0]])
-    rows = groups - state.members.of_map(k).start
-    own = state.within[k]
-    blocks = own.reshape(len(own) // 3, 3, -1, 3)
-    return state.score[groups], blocks[rows[:, :, None], :, rows[:, None, :], :]
-
-
-def _leave_one_out(score: Floats, blocks: Floats) -> Floats:
-    """Least statistic (c,) of the common motion with any one member left out."""
-    total, matrix = score.sum(axis=1), blocks.sum(axis=(1, 2))
-    every = np.arange(score.shape[1])
-    crossing = blocks.sum(axis=2)
-    left = matrix[:, None] - crossing - crossing.swapaxes(-1, -2) + blocks[:, every, every]
-    rest = total[:, None] - score
-    solved = np.linalg.solve(left, rest[..., None])[..., 0]
-    return np.asarray(np.einsum('cmi,cmi->cm', rest, solved).min(axis=1))
+def _tested(state: Sensitivity, points: Floats, patch: Patch, inside: Ints) -> MovedObject:
+    motions = (TRANSLATION, RIGID) if len(inside) >= MIN_TURNED else (TRANSLATION,)
+    members = patch.members[inside]
+    views = np.bincount(state.members.tracks)
+    return MovedObject(
+        members=members,
+        statistic=max(patch.with_one_free(inside, each).min() / _factor(each) for each in motions),
+        without_loudest=max(
+            patch.without_loudest(inside, each) / _factor(each) for each in motions
+        ),
+        motion=rigid_motion(state, points, members),
+        ambiguous=bool((views[state.members.tracks[members]] == 2).all()),
+    )

@@ -48,6 +48,19 @@ class TrueMove:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TrueStay:
+    """Landmarks that were there only while some of the maps were made."""
+
+    landmark_ids: Ids
+    """(k,) in the scene"""
+    map_ids: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        ids = frozen('landmarks', self.landmark_ids, np.uint64, (None,))
+        object.__setattr__(self, 'landmark_ids', ids)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RecordingTruth:
     """What the robots of a recording do not know; the world frame is metric."""
 
@@ -57,6 +70,7 @@ class RecordingTruth:
     """(n, 3) [m], before anything was moved"""
     maps: tuple[TrueMap, ...]
     moved: tuple[TrueMove, ...] = ()
+    temporary: tuple[TrueStay, ...] = ()
 
     def __post_init__(self) -> None:
         ids = frozen('landmarks.ids', self.landmark_ids, np.uint64, (None,))

@@ -16,12 +16,13 @@ from mapmerge_ros.errors import InvalidValue, MapMergeError
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.io.comparison import TruthComparison, compare_with_truth
 from mapmerge_ros.io.output import replacing
-from mapmerge_ros.io.true_values import RecordingTruth, TrueMap, TrueMove
+from mapmerge_ros.io.true_values import RecordingTruth, TrueMap, TrueMove, TrueStay
 
 __all__ = [
     'RecordingTruth',
     'TrueMap',
     'TrueMove',
+    'TrueStay',
     'TruthComparison',
     'TruthError',
     'compare_with_truth',
@@ -98,6 +99,10 @@ def _to_plain(truth: RecordingTruth) -> dict[str, Any]:
             }
             for move in truth.moved
         ],
+        'temporary': [
+            {'landmarks': stay.landmark_ids.tolist(), 'map_ids': list(stay.map_ids)}
+            for stay in truth.temporary
+        ],
     }
 
 
@@ -126,6 +131,10 @@ def _from_plain(plain: dict[str, Any]) -> RecordingTruth:
         moved=tuple(
             TrueMove(_ids(entry['landmarks']), tuple(entry['map_ids']), entry['displacement'])
             for entry in plain['moved']
+        ),
+        temporary=tuple(
+            TrueStay(_ids(entry['landmarks']), tuple(entry['map_ids']))
+            for entry in plain.get('temporary', [])
         ),
     )
 

@@ -7,7 +7,7 @@ from mapmerge_ros.simulation.drones import Camera, Sensing, fly, observe
 from mapmerge_ros.simulation.fleet import Fleet, FleetConfig, Truth, simulate_fleet
 from mapmerge_ros.simulation.frames import anchored, frame_error, random_frame
 from mapmerge_ros.simulation.joint import join, joint_bundle
-from mapmerge_ros.simulation.moved import MovedObject
+from mapmerge_ros.simulation.moved import MovedObject, TemporaryObject
 from mapmerge_ros.simulation.paper import box_truth, measured, paper_box
 from mapmerge_ros.simulation.scene import Scene, box_scene, room_scene, yard_scene
 from mapmerge_ros.simulation.session import Session, SimulationError, measure
@@ -28,6 +28,7 @@ __all__ = [
     'SimulationError',
     'Street',
     'StreetConfig',
+    'TemporaryObject',
     'Trajectory',
     'Truth',
     'adjust',

@@ -14,7 +14,14 @@ from mapmerge_ros.bundle import Bundle, MapName, compress
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.simulation.adjust import MAX_ITERATIONS
 from mapmerge_ros.simulation.drones import Sensing, fly, observe
-from mapmerge_ros.simulation.moved import MovedObject, choose_objects, scene_at_visit
+from mapmerge_ros.simulation.moved import (
+    MovedObject,
+    TemporaryObject,
+    brought,
+    choose_objects,
+    scene_at_visit,
+    taken,
+)
 from mapmerge_ros.simulation.scene import Scene, yard_scene
 from mapmerge_ros.simulation.session import Session
 from mapmerge_ros.simulation.trajectory import Trajectory, lawn_mower
@@ -51,6 +58,10 @@ class FleetConfig:
     """Objects of about ten landmarks moved between the visits of two drones."""
     moved_distance: float = 0.5
     """[m]"""
+    added: int = 0
+    """Objects that were not there at the first visits."""
+    removed: int = 0
+    """Objects that are no longer there at the last visits."""
     max_iterations: int = MAX_ITERATIONS
     """of each drone's adjustment; a small number stops it early"""
 
@@ -68,6 +79,8 @@ class Truth:
     """per robot: true poses and points at its visit, in the rows of its own bundle"""
     landmark_ids: tuple[Ids, ...]
     """per robot: (n,) id in the scene of each of its points"""
+    temporary: tuple[TemporaryObject, ...] = ()
+    """first those that came, then those that went"""
 
     def points_world(self, landmark_ids: Ids) -> Floats:
         """Positions (k, 3) of landmarks of the scene, before anything was moved."""
@@ -116,11 +129,11 @@ def simulate_fleet(config: FleetConfig | None = None, seed: int = 0) -> Fleet:
     site, paths, objects, *robots = np.random.default_rng(seed).spawn(3 + config.drones)
     scene = _yard(site, config)
     trajectories = _trajectories(paths, config)
-    moved = _moved(objects, scene, trajectories, config)
+    moved, temporary = _changes(objects, scene, trajectories, config)
     sessions = [
         fly(
             rng,
-            scene_at_visit(scene, moved, visit),
+            scene_at_visit(scene, moved, visit, temporary),
             trajectory,
             config.sensing,
             descriptors=config.descriptors,
@@ -132,7 +145,7 @@ def simulate_fleet(config: FleetConfig | None = None, seed: int = 0) -> Fleet:
     return Fleet(
         bundles=tuple(session.bundle for session in sessions),
         names=tuple(_name(visit, config) for visit in range(config.drones)),
-        truth=_truth(scene, moved, sessions),
+        truth=_truth(scene, moved, temporary, sessions),
     )
 
 
@@ -170,14 +183,18 @@ def _trajectories(rng: np.random.Generator, config: FleetConfig) -> list[Traject
     ]
 
 
-def _moved(
+def _changes(
     rng: np.random.Generator, scene: Scene, trajectories: list[Trajectory], config: FleetConfig
-) -> tuple[MovedObject, ...]:
-    if not config.moved:
-        return ()
+) -> tuple[tuple[MovedObject, ...], tuple[TemporaryObject, ...]]:
+    moved, brought_end = config.moved, config.moved + config.added
+    count = brought_end + config.removed
+    if not count:
+        return (), ()
     seen = [observe(rng, scene, path, config.sensing).point_ids for path in trajectories]
     table = np.array([np.isin(scene.ids, ids) for ids in seen])
-    return choose_objects(rng, scene, table, config.moved, config.moved_distance)
+    chosen = choose_objects(rng, scene, table, count, config.moved_distance)
+    came = [brought(each, config.drones) for each in chosen[moved:brought_end]]
+    return chosen[:moved], (*came, *(taken(each) for each in chosen[brought_end:]))
 
 
 def _name(visit: int, config: FleetConfig) -> MapName:
@@ -191,10 +208,16 @@ def _name(visit: int, config: FleetConfig) -> MapName:
     )
 
 
-def _truth(scene: Scene, moved: tuple[MovedObject, ...], sessions: list[Session]) -> Truth:
+def _truth(
+    scene: Scene,
+    moved: tuple[MovedObject, ...],
+    temporary: tuple[TemporaryObject, ...],
+    sessions: list[Session],
+) -> Truth:
     return Truth(
         scene=scene,
         moved=moved,
+        temporary=temporary,
         S_world_map=tuple(session.S_world_map for session in sessions),
         bundles=tuple(session.truth for session in sessions),
         landmark_ids=tuple(session.landmark_ids for session in sessions),

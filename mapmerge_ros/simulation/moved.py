@@ -1,6 +1,6 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Objects that someone moves between the visits of two robots."""
+"""Objects that someone moves, brings or takes away between the visits of two robots."""
 
 from __future__ import annotations
 
@@ -39,6 +39,36 @@ class MovedObject:
         object.__setattr__(self, 'displacement_world', shift)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TemporaryObject:
+    """Nearby landmarks that are not always there."""
+
+    landmark_ids: Ids
+    """(k,) ids in the scene"""
+    first_visit: int
+    """Number of the first robot that finds it"""
+    visit_after: int
+    """Number of the first robot that no longer does"""
+
+    def __post_init__(self) -> None:
+        ids = frozen('landmark_ids', self.landmark_ids, np.uint64, (None,))
+        object.__setattr__(self, 'landmark_ids', ids)
+
+    def is_there(self, visit: int) -> bool:
+        """Whether robot number `visit` finds it."""
+        return self.first_visit <= visit < self.visit_after
+
+
+def brought(moved: MovedObject, visits: int) -> TemporaryObject:
+    """Return an object that comes when the other one is moved."""
+    return TemporaryObject(moved.landmark_ids, moved.first_visit_after, visits)
+
+
+def taken(moved: MovedObject) -> TemporaryObject:
+    """Return an object that goes when the other one is moved."""
+    return TemporaryObject(moved.landmark_ids, 0, moved.first_visit_after)
+
+
 def choose_objects(
     rng: np.random.Generator, scene: Scene, seen: Mask, count: int, distance: float
 ) -> tuple[MovedObject, ...]:
@@ -56,33 +86,40 @@ def choose_objects(
         Fewer than `count` such objects.
 
     """
-    tree, taken = cKDTree(scene.points), np.zeros(len(scene), np.bool_)
+    tree, used = cKDTree(scene.points), np.zeros(len(scene), np.bool_)
     objects: list[MovedObject] = []
     for seed in rng.permutation(np.flatnonzero(seen.sum(axis=0) >= 2)):
         if len(objects) == count:
             break
         near = np.asarray(tree.query(scene.points[seed], LANDMARKS_PER_OBJECT)[1])
         visit = _visit_between(rng, seen[:, near])
-        if taken[near].any() or visit is None:
+        if used[near].any() or visit is None:
             continue
-        taken[near] = True
+        used[near] = True
         angle = rng.uniform(-np.pi, np.pi)
         shift = distance * np.array([np.cos(angle), np.sin(angle), 0.0])
         objects.append(MovedObject(np.sort(scene.ids[near]), shift, visit))
     if len(objects) < count:
         raise SimulationError(
-            f'moved: {count} objects asked for, the robots share only {len(objects)}'
+            f'moved: {count} objects asked for (with those added and removed), the robots share '
+            f'only {len(objects)}'
         )
     return tuple(objects)
 
 
-def scene_at_visit(scene: Scene, objects: tuple[MovedObject, ...], visit: int) -> Scene:
+def scene_at_visit(
+    scene: Scene,
+    objects: tuple[MovedObject, ...],
+    visit: int,
+    temporary: tuple[TemporaryObject, ...] = (),
+) -> Scene:
     """Return the scene as robot number `visit` finds it."""
     for moved in objects:
         if visit >= moved.first_visit_after:
             rows = np.searchsorted(scene.ids, moved.landmark_ids)
             scene = scene.displaced(rows, moved.displacement_world)
-    return scene
+    absent = [each.landmark_ids for each in temporary if not each.is_there(visit)]
+    return scene.without(np.concatenate(absent)) if absent else scene
 
 
 def _visit_between(rng: np.random.Generator, seen: Mask) -> int | None:

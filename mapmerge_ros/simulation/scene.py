@@ -49,6 +49,17 @@ class Scene:
         points[rows] += displacement
         return replace(self, points=points)
 
+    def without(self, ids: Ids) -> Scene:
+        """Return the scene without some landmarks."""
+        kept = ~np.isin(self.ids, ids)
+        return Scene(
+            self.ids[kept],
+            self.points[kept],
+            self.normals[kept],
+            self.surfaces[kept],
+            self.descriptors[kept],
+        )
+
 
 def box_scene(
     rng: np.random.Generator, count: int, size: tuple[float, float, float] = (10.0, 6.0, 2.0)

@@ -1,0 +1,192 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Tests of landmarks of one sub-map that share a motion: a translation, or a rigid one.
+
+With displacements D = B θ of the members the price is price - 2 b'θ + θ'Aθ, b = B's, A = B'JB;
+b'A⁻¹b is χ²(3) or χ²(6). All sets that differ from one by a single member are tested at once.
+
+A member that is left out of a test is *free*: unlocked, with a displacement of its own. Would it
+be held in place, it would pull at its neighbours, that moved as it did, all the harder the
+smoother errors are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.stats
+from scipy.spatial import cKDTree
+
+from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.fusion.local import Sensitivity
+from mapmerge_ros.geometry import Gauge, generators
+
+TRANSLATION, RIGID = 3, 6
+"""Degrees of freedom of a common motion, the first columns of the basis."""
+
+RIGID_FACTOR = float(scipy.stats.chi2.isf(scipy.stats.chi2.sf(40.0, 3), 6)) / 40.0
+"""By how much χ²(6) must be larger than χ²(3) to be as improbable, at p = 1e-8."""
+
+RIDGE = 1e-9
+"""Share of the largest information that a motion gets for nothing: landmarks on one line."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """Testable members of one sub-map."""
+
+    members: Ints
+    """(n,) ascending"""
+    points: Floats
+    """(n, 3) merged landmarks"""
+    score: Floats
+    """s (n, 3)"""
+    information: Floats
+    """J (3n, 3n)"""
+    basis: Floats
+    """B (n, 3, 6) displacement per unit of motion: translation, rotation [1 / size of the map]"""
+
+    @classmethod
+    def of_map(cls, state: Sensitivity, points: Floats, k: int) -> Patch:
+        """Patch of sub-map k; `points` (tracks, 3) are the merged landmarks."""
+        part = state.members.of_map(k)
+        own = np.flatnonzero(state.testable()[part])
+        at = (3 * own[:, None] + np.arange(3)).ravel()
+        here = points[state.members.tracks[part.start + own]]
+        centred = here - here.mean(axis=0) if len(own) else here
+        size = np.sqrt(np.mean(centred**2)) if len(own) else 1.0
+        return cls(
+            part.start + own,
+            here,
+            state.score[part.start + own],
+            state.within[k][np.ix_(at, at)],
+            generators(centred, Gauge.RIGID) / np.array([1.0] * 3 + [max(size, 1e-12)] * 3),
+        )
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    def rows(self, members: Ints) -> Ints:
+        """Rows in this patch of members that it has."""
+        return np.searchsorted(self.members, members)
+
+    def statistic(self, inside: Ints, motion: int) -> float:
+        """Test of the members in rows `inside` having one motion in common."""
+        total, matrix, _ = self._sums(inside, motion)
+        return float(_squares(total, matrix))
+
+    def with_one_more(self, inside: Ints, outside: Ints, motion: int) -> Floats:
+        """Statistic with each of the rows `outside` (o,) as well."""
+        total, matrix, pushed = self._sums(inside, motion)
+        basis = self.basis[outside, :, :motion]
+        crossing = basis.swapaxes(1, 2) @ pushed[outside]
+        matrices = matrix + crossing + crossing.swapaxes(1, 2) + self._own(outside, motion)
+        return _squares(total + self._scores(outside, motion), matrices)
+
+    def with_one_less(self, inside: Ints, motion: int) -> Floats:
+        """Statistic without each of the rows `inside` (m,)."""
+        total, matrix, pushed = self._sums(inside, motion)
+        crossing = self.basis[inside, :, :motion].swapaxes(1, 2) @ pushed[inside]
+        matrices = matrix - crossing - crossing.swapaxes(1, 2) + self._own(inside, motion)
+        return _squares(total - self._scores(inside, motion), matrices)
+
+    def with_one_free(self, inside: Ints, motion: int) -> Floats:
+        """Statistic of the others with each of the rows `inside` (m,) free."""
+        total, matrix, pushed = self._sums(inside, motion)
+        return _free(
+            total,
+            matrix,
+            pushed[inside],
+            self.basis[inside, :, :motion],
+            self._blocks()[inside],
+            self.score[inside],
+        )
+
+    def without_loudest(self, inside: Ints, motion: int) -> float:
+        """Statistic with those free, one in five but two at least, that speak for it most."""
+        patch = self
+        for _ in range(max(2, -(-len(inside) // 5))):
+            at = int(np.argmin(patch.with_one_free(inside, motion)))
+            patch, inside = patch._freed(int(inside[at])), np.delete(inside, at)
+        return patch.statistic(inside, motion)
+
+    def neighbourhoods(self, count: int, motion: int) -> tuple[Floats, Ints]:
+        """Statistics (n,), the least with one of them free, and rows (n, count) of every one."""
+        rows = np.asarray(cKDTree(self.points).query(self.points, count)[1], np.int64)
+        n, size = len(self), 3 * count
+        blocks = self.information.reshape(n, 3, n, 3).swapaxes(1, 2)
+        near = blocks[rows[:, :, None], rows[:, None, :]].swapaxes(2, 3).reshape(n, size, size)
+        basis = self.basis[rows, :, :motion]
+        pushed = (near @ basis.reshape(n, size, motion)).reshape(n, count, 3, motion)
+        matrix = (basis.swapaxes(2, 3) @ pushed).sum(axis=1)
+        total = np.einsum('ncip,nci->np', basis, self.score[rows])
+        values = _free(
+            total[:, None], matrix[:, None], pushed, basis, self._blocks()[rows], self.score[rows]
+        )
+        return values.min(axis=1), rows
+
+    def _freed(self, row: int) -> Patch:
+        at = slice(3 * row, 3 * row + 3)
+        columns = self.information[:, at]
+        solved = np.linalg.solve(columns[at], columns.T)
+        return replace(
+            self,
+            score=self.score - (self.score[row] @ solved).reshape(-1, 3),
+            information=self.information - columns @ solved,
+        )
+
+    def _blocks(self) -> Floats:
+        """J (n, 3, 3) of each with itself."""
+        n = len(self)
+        every = np.arange(n)
+        return self.information.reshape(n, 3, n, 3)[every, :, every, :]
+
+    def _sums(self, inside: Ints, motion: int) -> tuple[Floats, Floats, Floats]:
+        """Sums b (p,), A (p, p), and J B (n, 3, p), of the members inside."""
+        at = (3 * inside[:, None] + np.arange(3)).ravel()
+        basis = self.basis[inside, :, :motion].reshape(-1, motion)
+        pushed = self.information[:, at] @ basis
+        matrix = basis.T @ pushed[at]
+        total = self._scores(inside, motion).sum(axis=0)
+        return total, matrix, pushed.reshape(len(self), 3, motion)
+
+    def _scores(self, rows: Ints, motion: int) -> Floats:
+        """B_i's_i (..., p)."""
+        return np.asarray(
+            np.einsum('...ip,...i->...p', self.basis[rows, :, :motion], self.score[rows])
+        )
+
+    def _own(self, rows: Ints, motion: int) -> Floats:
+        """B_i'J_iiB_i (..., p, p)."""
+        basis = self.basis[:, :, :motion]
+        return np.asarray((basis.swapaxes(1, 2) @ self._blocks() @ basis)[rows])
+
+
+def _free(
+    total: Floats, matrix: Floats, pushed: Floats, basis: Floats, own: Floats, score: Floats
+) -> Floats:
+    """
+    Statistics (..., m) of a motion of m members with each of them free.
+
+    b (..., p), A (..., p, p), then by member J B, B, J and s.
+    """
+    crossing = basis.swapaxes(-1, -2) @ pushed
+    inner = basis.swapaxes(-1, -2) @ own @ basis
+    rest = matrix - crossing - crossing.swapaxes(-1, -2) + inner
+    left = total - np.einsum('...ip,...i->...p', basis, score)
+    towards = pushed - own @ basis
+    solved = np.linalg.solve(own, towards)
+    return _squares(
+        left - np.einsum('...ip,...i->...p', solved, score),
+        rest - towards.swapaxes(-1, -2) @ solved,
+    )
+
+
+def _squares(vectors: Floats, matrices: Floats) -> Floats:
+    """Squares b'A⁻¹b of (..., p) and (..., p, p)."""
+    size = vectors.shape[-1]
+    scale = np.einsum('...ii->...i', matrices).max(axis=-1)
+    held = matrices + RIDGE * scale[..., None, None] * np.eye(size)
+    return np.asarray(np.sum(vectors * np.linalg.solve(held, vectors[..., None])[..., 0], axis=-1))

@@ -1,0 +1,171 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Objects that moved and turned, and single landmarks that are off."""
+
+import numpy as np
+import pytest
+import scipy.stats
+from gaussian_merges import draw, merged, noise, scene
+from scipy.spatial.transform import Rotation
+
+from mapmerge_ros.fusion.contrasts import contrasts
+from mapmerge_ros.fusion.honest import examine
+from mapmerge_ros.fusion.local import local_tests, sensitivity
+from mapmerge_ros.fusion.motion import rigid_motion
+from mapmerge_ros.fusion.objects import common_motion
+from mapmerge_ros.fusion.patches import RIGID, TRANSLATION, Patch
+
+
+def neighbours(rng, points, members, k, count):
+    """Members of sub-map k about one of its landmarks that is not at the edge."""
+    own = np.flatnonzero(members.maps == k)
+    here = points[members.tracks[own]]
+    centre = here[rng.choice(np.flatnonzero(np.linalg.norm(here / [30, 20, 2], axis=1) < 1.0))]
+    return np.sort(own[np.argsort(np.linalg.norm(here - centre, axis=1))[:count]])
+
+
+def with_object(rng, size, turn_rad, landmarks=120, count=10):
+    """A merge in which ten neighbours of map 2 moved by `size` typical deviations and turned."""
+    points, members, matrices = scene(rng, landmarks=landmarks, views=(3, 4))
+    errors = noise(rng, points, members, matrices)
+    unit = contrasts(merged(points, members, matrices, errors), 600).unit
+    moved = neighbours(rng, points, members, 2, count)
+    axis, shift = rng.normal(size=(2, 3))
+    shift *= size * unit / np.linalg.norm(shift)
+    turn = Rotation.from_rotvec(turn_rad * axis / np.linalg.norm(axis))
+    before = points[members.tracks[moved]]
+    centre = before.mean(axis=0)
+    errors[moved] += turn.apply(before - centre) + centre + shift - before
+    return merged(points, members, matrices, errors), moved, (centre, turn, shift)
+
+
+def chi2_of(motion, truth):
+    """Square of the motion's error over its own covariance, 6 degrees of freedom."""
+    centre, turn, shift = truth
+    at_centre = turn.apply(motion.centre - centre) + centre + shift - motion.centre
+    turned = turn * Rotation.from_rotvec(motion.rotation_vector).inv()
+    error = np.concatenate([turned.as_rotvec(), at_centre - motion.translation])
+    return float(error @ np.linalg.solve(motion.covariance, error))
+
+
+@pytest.mark.parametrize('motion', [TRANSLATION, RIGID])
+def test_trials_at_once_are_those_one_by_one(motion):
+    merge = draw(1, landmarks=60, views=(3, 4))
+    state = sensitivity(merge)
+    patch = Patch.of_map(state, merge.points, 1)
+    inside, outside = np.arange(4, 12), np.array([1, 20, 30])
+    more = patch.with_one_more(inside, outside, motion)
+    less = patch.with_one_less(inside, motion)
+    free = patch.with_one_free(inside, motion)
+    for value, row in zip(more, outside, strict=True):
+        assert value == pytest.approx(patch.statistic(np.append(inside, row), motion), rel=1e-6)
+    for at, row in enumerate(inside):
+        others = np.delete(inside, at)
+        assert less[at] == pytest.approx(patch.statistic(others, motion), rel=1e-6)
+        rest = state.unlock(patch.members[[row]])
+        again = Patch.of_map(rest, merge.points, 1)
+        rows = again.rows(patch.members[others])
+        assert free[at] == pytest.approx(again.statistic(rows, motion), rel=1e-5)
+
+
+@pytest.mark.parametrize('motion', [TRANSLATION, RIGID])
+def test_a_common_motion_of_nobody_is_chi_square(motion):
+    rng, values = np.random.default_rng(2), []
+    for _ in range(60):
+        points, members, matrices = scene(rng, landmarks=40, views=(3, 4))
+        errors = noise(rng, points, members, matrices)
+        merge = merged(points, members, matrices, errors)
+        patch = Patch.of_map(sensitivity(merge), points, 0)
+        values += [patch.statistic(np.arange(at, at + 8), motion) for at in (0, 15)]
+    assert scipy.stats.kstest(values, scipy.stats.chi2(motion).cdf).pvalue > 0.01
+
+
+def test_an_object_that_moved_and_turned_is_recovered_within_its_own_claim():
+    rng, inside, whole, squares = np.random.default_rng(3), 0, 0, []
+    for _ in range(20):
+        merge, moved, truth = with_object(rng, 10.0, 0.05)
+        found = examine(merge, np.inf, certain=True)
+        members = [each.members for each in found.objects]
+        if len(members) == 1 and np.isin(moved, members[0]).all():
+            whole += 1
+            squares.append(chi2_of(found.objects[0].motion, truth))
+            inside += squares[-1] <= scipy.stats.chi2.isf(2.7e-3, 6)
+        assert not np.isin(found.doubtful, moved).any() or len(members) == 0
+    assert whole >= 19
+    assert inside >= whole - 1
+    assert 3.0 < np.median(squares) < 9.0
+
+
+def test_a_turn_that_displaces_nothing_on_average_is_found():
+    rng, found = np.random.default_rng(4), 0
+    for _ in range(8):
+        merge, moved, _ = with_object(rng, 0.0, 0.3, count=12)
+        objects = examine(merge, np.inf, certain=True).objects
+        found += len(objects) == 1 and np.isin(moved, objects[0].members).mean() > 0.6
+    assert found >= 7
+
+
+def test_large_turns_are_not_linearised():
+    """The exact motion of noise-free landmarks, turned by half a radian."""
+    rng = np.random.default_rng(5)
+    points, members, matrices = scene(rng, landmarks=60, views=(3, 4))
+    moved = neighbours(rng, points, members, 1, 8)
+    before = points[members.tracks[moved]]
+    turn, shift = Rotation.from_rotvec([0.3, -0.4, 0.1]), np.array([0.5, 0.2, -0.1])
+    errors = np.zeros((len(members), 3))
+    errors[moved] = turn.apply(before - before.mean(axis=0)) + before.mean(axis=0) + shift - before
+    merge = merged(points, members, matrices, errors)
+    # the optimum, not the truth, is what a merge knows
+    motion = rigid_motion(sensitivity(merge), points, moved)
+    assert motion.is_turned
+    np.testing.assert_allclose(motion.rotation_vector, turn.as_rotvec(), atol=0.05)
+
+
+def test_few_landmarks_have_a_translation_only():
+    merge, moved, _ = with_object(np.random.default_rng(6), 20.0, 0.0)
+    motion = common_motion(sensitivity(merge), merge.points, moved[:3]).motion
+    assert not motion.is_turned
+    assert not motion.rotation_vector.any()
+    assert (np.diag(motion.covariance)[3:] > 0.0).all()
+
+
+def test_an_object_of_two_maps_is_ambiguous():
+    rng = np.random.default_rng(7)
+    points, members, matrices = scene(rng, maps=2, landmarks=100, views=(2, 2))
+    errors = noise(rng, points, members, matrices)
+    moved = neighbours(rng, points, members, 1, 12)
+    unit = contrasts(merged(points, members, matrices, errors), 600).unit
+    errors[moved] += [12.0 * unit, 0.0, 0.0]
+    found = examine(merged(points, members, matrices, errors), np.inf, certain=True)
+    assert [each.ambiguous for each in found.objects] == [True]
+    named = members.tracks[found.objects[0].members]
+    assert np.isin(members.tracks[moved], named).mean() > 0.9
+
+
+def test_single_landmarks_are_doubtful_and_hardly_any_other():
+    """3 of 30 landmarks of one map moved by 6 standard deviations, Gaussian noise, 40 merges."""
+    rng, found, false = np.random.default_rng(8), 0, 0
+    for _ in range(40):
+        points, members, matrices = scene(rng, landmarks=30, views=(2, 4))
+        errors = noise(rng, points, members, matrices)
+        tests = local_tests(merged(points, members, matrices, errors))
+        moved = rng.choice(np.flatnonzero((members.maps == 1) & tests.testable), 3, replace=False)
+        direction = rng.normal(size=(3, 3))
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        roots = np.linalg.cholesky(tests.covariance[moved])
+        errors[moved] += 6.0 * np.einsum('sij,sj->si', roots, direction)
+        result = examine(merged(points, members, matrices, errors), np.inf, certain=True)
+        named = [result.doubtful, *(each.members for each in result.objects)]
+        tracks = members.tracks[np.concatenate(named)]
+        found += np.isin(members.tracks[moved], tracks).sum()
+        false += (~np.isin(tracks, members.tracks[moved])).sum()
+    assert found >= 0.95 * 120
+    assert false <= 0.01 * 40 * 27
+
+
+def test_nobody_is_doubtful_where_nothing_moved():
+    reported = [
+        len(examine(draw(200 + seed, landmarks=50), np.inf, certain=True).doubtful)
+        for seed in range(40)
+    ]
+    assert np.mean(np.array(reported) > 0) <= 0.1
