@@ -1,21 +1,21 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How the cost of finding and matching pairs grows with the number of sub-maps."""
+"""How the cost of a whole association grows with the number of sub-maps."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from mapmerge_ros.arrays import Ints
-from mapmerge_ros.association import AssociationConfig, Decision, PairMatch, match_pair, screen
+from mapmerge_ros.association import Correspondences, Decision, Memory, associate
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.simulation import yard_scene
 from mapmerge_ros.submap import Descriptors, DescriptorType, Source, SubMap
 
-CONFIG = AssociationConfig()
 COUNTS = (8, 16, 32, 64)
 CELL = np.array([31.0, 23.0])
 """Of the grid that each drone has one cell of [m]."""
@@ -23,51 +23,75 @@ MARGIN = 4.0
 """That it sees of the neighbours' cells [m]."""
 LANDMARKS = 1000
 """of a map"""
-REPEATS = 3
+REPEATS = 2
 """The fastest counts: others may be at work on the machine."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One association from scratch and the same with one map more; processor seconds."""
+
+    found: Correspondences
+    seconds: float
+    one_more: float
+    """The last map comes when all others are known"""
 
 
 def growth() -> str:
     """Markdown table."""
     lines = [
         '| maps | pairs | overlapping | matched | overlapping, not matched | joined | '
-        'joined wrongly | screening [s] | all [s] | exponent since 8 |',
-        '|---' * 10 + '|',
+        'joined wrongly | links | right | all [s] | exponent since 8 | one map more [s] |',
+        '|---' * 12 + '|',
     ]
     first = 0.0
     for count in COUNTS:
         submaps, seen = catalogues(count)
         runs = [timed(submaps) for _ in range(REPEATS)]
-        chosen, matches, screening, seconds = min(runs, key=lambda run: run[3])
+        seconds = min(run.seconds for run in runs)
         first = first or seconds
-        joined = {
-            pair
-            for pair, match in zip(chosen, matches, strict=True)
-            if match.decision is Decision.JOINED
-        }
-        common = {
-            (i, j): len(np.intersect1d(seen[i], seen[j])) for i, j in combinations(range(count), 2)
-        }
-        overlapping = {pair for pair, shared in common.items() if shared >= 10}
-        wrong = sum(common[pair] == 0 for pair in joined)
         exponent = np.log(seconds / first) / np.log(count / COUNTS[0]) if count > COUNTS[0] else 0
         lines.append(
-            f'| {count} | {len(common)} | {len(overlapping)} | {len(chosen)} | '
-            f'{len(overlapping - set(chosen))} | {len(joined)} | {wrong} | '
-            f'{screening:.2f} | {seconds:.2f} | {f"{exponent:.2f}" if exponent else "–"} |'
+            f'| {count} {_pair_cells(runs[0].found, seen)} {_link_cells(runs[0].found, seen)} '
+            f'| {seconds:.2f} | {f"{exponent:.2f}" if exponent else "–"} | '
+            f'{min(run.one_more for run in runs):.2f} |'
         )
     return '\n'.join(lines)
 
 
-def timed(
-    submaps: list[SubMap],
-) -> tuple[tuple[tuple[int, int], ...], list[PairMatch], float, float]:
-    """Pairs, their matches, processor seconds of the screening and of all."""
+def timed(submaps: list[SubMap]) -> Run:
+    """Associate all, and all but the last before all."""
     begin = time.process_time()
-    chosen = screen(submaps, CONFIG)
-    screening = time.process_time() - begin
-    matches = [match_pair(submaps[i], submaps[j], CONFIG) for i, j in chosen]
-    return chosen, matches, screening, time.process_time() - begin
+    found = associate(submaps)
+    seconds = time.process_time() - begin
+    memory = Memory()
+    associate(submaps[:-1], memory=memory)
+    begin = time.process_time()
+    associate(submaps, memory=memory)
+    return Run(found, seconds, time.process_time() - begin)
+
+
+def _pair_cells(found: Correspondences, seen: list[Ints]) -> str:
+    pairs = list(combinations(range(len(seen)), 2))
+    common = {(i, j): len(np.intersect1d(seen[i], seen[j])) for i, j in pairs}
+    overlapping = {pair for pair, shared in common.items() if shared >= 10}
+    joined = {p for p, match in found.matches.items() if match.decision is Decision.JOINED}
+    return (
+        f'| {len(common)} | {len(overlapping)} | {len(found.matches)} | '
+        f'{len(overlapping - set(found.matches))} | {len(joined)} | '
+        f'{sum(common[pair] == 0 for pair in joined)}'
+    )
+
+
+def _link_cells(found: Correspondences, seen: list[Ints]) -> str:
+    total, right = 0, 0
+    for a, b in combinations(range(len(seen)), 2):
+        _, rows_a, rows_b = np.intersect1d(
+            found.tracks[a], found.tracks[b], assume_unique=True, return_indices=True
+        )
+        total += len(rows_a)
+        right += int((seen[a][rows_a] == seen[b][rows_b]).sum())
+    return f'| {total} | {right / total:.4f}'
 
 
 def catalogues(count: int, seed: int = 0) -> tuple[list[SubMap], list[Ints]]:

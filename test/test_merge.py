@@ -268,7 +268,7 @@ def test_metric_maps_keep_their_scale(gauge):
 def test_a_moved_object_makes_the_test_refuse():
     still, moved = fleet_maps(8), fleet_maps(8, moved=1)
     assert fuse(still).verdict.accepted
-    verdict = fuse(moved).verdict
+    verdict = fuse(moved, FusionConfig(unlock=False)).verdict
     assert not verdict.accepted
     assert 'costs' in verdict.reason
 

@@ -25,7 +25,7 @@ def match_pair(a: SubMap, b: SubMap, config: AssociationConfig) -> PairMatch:
     The same landmarks in another order, or the maps exchanged, give the same matches.
     """
     if _rank(b) < _rank(a):
-        return _exchanged(match_pair(b, a, config))
+        return match_pair(b, a, config).exchanged()
     order_a, order_b = np.argsort(a.landmark_ids), np.argsort(b.landmark_ids)
     found = nearest(a.descriptors[order_a], b.descriptors[order_b], config)
     rows_a, rows_b = order_a[found.rows_a], order_b[found.rows_b]
@@ -85,20 +85,4 @@ def _result(
         candidates_a=rows_a,
         candidates_b=rows_b,
         tolerance_a=aligned.tolerance if aligned is not None else np.nan,
-    )
-
-
-def _exchanged(match: PairMatch) -> PairMatch:
-    """Return the same about (b, a)."""
-    S_a_b = match.S_a_b
-    return PairMatch(
-        decision=match.decision,
-        reason=match.reason,
-        evidence=match.evidence,
-        S_a_b=S_a_b.inverse() if S_a_b is not None else None,
-        rows_a=match.rows_b,
-        rows_b=match.rows_a,
-        candidates_a=match.candidates_b,
-        candidates_b=match.candidates_a,
-        tolerance_a=match.tolerance_a / S_a_b.scale if S_a_b is not None else np.nan,
     )

@@ -20,6 +20,7 @@ from mapmerge_ros.association.network import Network, close_loops
 from mapmerge_ros.association.pair import Decision, PairMatch
 from mapmerge_ros.association.screening import worth_matching
 from mapmerge_ros.association.second_look import Links, second_look
+from mapmerge_ros.association.support import supported
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import DescriptorType, SubMap
 
@@ -42,14 +43,15 @@ class Correspondences:
     def restricted(self, maps: Sequence[int]) -> Correspondences:
         """Return what is known of some of the sub-maps, in the given order."""
         place = {k: slot for slot, k in enumerate(maps)}
+        kept = {
+            (place[a], place[b]): match
+            for (a, b), match in self.matches.items()
+            if a in place and b in place
+        }
         return Correspondences(
             tuple(self.tracks[k] for k in maps),
             self.count,
-            {
-                (place[a], place[b]): match
-                for (a, b), match in self.matches.items()
-                if a in place and b in place
-            },
+            {(min(x), max(x)): kept[x] if x[0] < x[1] else kept[x].exchanged() for x in kept},
         )
 
 
@@ -65,20 +67,31 @@ def associate(
     The result does not depend on the order of the sub-maps. `memory` keeps what was found about
     pairs, so that a new sub-map is matched against the others and nothing else is done again.
     """
-    config, memory = config or AssociationConfig(), memory or Memory()
-    maps = tuple(submaps)
+    config = config or AssociationConfig()
+    memory = Memory() if memory is None else memory
+    order = sorted(range(len(submaps)), key=lambda k: submaps[k].map_id)
+    found = _associate([submaps[k] for k in order], config, memory, by_descriptors)
+    return found.restricted([order.index(k) for k in range(len(submaps))])
+
+
+def _associate(
+    maps: Sequence[SubMap], config: AssociationConfig, memory: Memory, by_descriptors: bool
+) -> Correspondences:
+    """Sub-maps by map_id: alignments and searches are in the frame of the first of a pair."""
     known, count = number_by_id(maps, [submap.landmark_ids for submap in maps])
     named = [Named(submap) for submap in maps]
     memory.turn()
     pairs = _pairs(named, memory, config) if by_descriptors else []
     matches = {(a, b): memory.match(named[a], named[b], config) for a, b in pairs}
-    network = close_loops(maps, matches)
+    network = close_loops(tuple(maps), matches)
     marks = [Landmarks.of(submap) for submap in maps]
-    links = {
-        pair: _sure(_looked_again(marks, named, pair, match, memory), marks[pair[0]], config)
+    looked = {
+        pair: _looked_again(marks, named, pair, match, memory)
         for pair, match in network.matches.items()
         if match.decision is Decision.JOINED
     }
+    heard = supported(looked, [len(mark) for mark in marks], config)
+    links = {pair: _sure(own, marks[pair[0]], config) for pair, own in heard.items()}
     by_rank = [own[one.order] for own, one in zip(known, named, strict=True)]
     tracks = greedy_tracks(by_rank, links)
     composed = _composed(marks, network, tracks, config)

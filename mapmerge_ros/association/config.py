@@ -100,6 +100,17 @@ class AssociationConfig:
 
     min_transitive: int = 6
     """Landmarks that other maps say are common before a pair is looked at that no match joined."""
+    min_posterior_heard: float = 0.005
+    """Below it third maps cannot bring a link up to any threshold."""
+    agreement: float = 2.0
+    """
+    Log odds by which a link gains when both ends have the same partner in a third map.
+
+    With `contradiction`, EuRoC's precision went from 0.853 to 0.857 and its recall from 0.802 to
+    0.805 (chosen there); Caliterra's stayed.
+    """
+    contradiction: float = 1.0
+    """Log odds that it loses when they have different ones."""
     min_posterior_sift: float = 0.03
     """
     Of a link, from appearance and position.

@@ -7,6 +7,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+
 from mapmerge_ros.arrays import Ints
 from mapmerge_ros.geometry import Similarity
 
@@ -70,3 +72,18 @@ class PairMatch:
     """(c,) their partners in b's message"""
     tolerance_a: float
     """Distance up to which a candidate is an inlier, in a's frame; nan without an alignment"""
+
+    def exchanged(self) -> PairMatch:
+        """Return the same about (b, a)."""
+        S_a_b = self.S_a_b
+        return PairMatch(
+            decision=self.decision,
+            reason=self.reason,
+            evidence=self.evidence,
+            S_a_b=S_a_b.inverse() if S_a_b is not None else None,
+            rows_a=self.rows_b,
+            rows_b=self.rows_a,
+            candidates_a=self.candidates_b,
+            candidates_b=self.candidates_a,
+            tolerance_a=self.tolerance_a / S_a_b.scale if S_a_b is not None else np.nan,
+        )

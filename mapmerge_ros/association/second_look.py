@@ -31,6 +31,8 @@ CROWD = 2.5
 """Standard deviations within which other landmarks are counted: more would leave the surface."""
 NEIGHBOURS = 12
 """Landmarks of the other map that are looked at around each."""
+ROUNDING_RATIO = 1e-9
+"""Of the extent of a map; its own landmarks are known to 1e-4 of it at best."""
 FIELD_NEIGHBOURS = 12
 """Links that the smooth displacement between the maps is averaged over."""
 
@@ -83,6 +85,8 @@ def second_look(a: Landmarks, b: Landmarks, links: Links, rounds: int = 3) -> Li
         chi2 = mahalanobis(gaps, covariances, bending.variance)
         found = _weigh(near_a, near_b, chi2, alike, (len(a), len(b)))
         links = found.best(len(a), len(b))
+        if len(links) < 3:
+            break
     return found
 
 
@@ -91,7 +95,7 @@ def _realigned(a: Landmarks, b: Landmarks, links: Links) -> Landmarks:
     ends_a, ends_b = a.points[links.of_a], b.points[links.of_b]
     covariances = a.covariances[links.of_a] + b.covariances[links.of_b]
     variances = np.trace(covariances, axis1=1, axis2=2) / 3.0
-    variances += unexplained_variance(ends_a - ends_b, covariances)
+    variances += unexplained_variance(ends_a - ends_b, covariances) + rounding_variance(a)
     gauge = max(a.gauge, b.gauge)
     try:
         moved = align_robustly(ends_a, ends_b, gauge=gauge, weights=1.0 / variances)
@@ -118,11 +122,13 @@ class Bending:
         """Measure it at the links."""
         displacements = a.points[links.of_a] - b.points[links.of_b]
         covariances = a.covariances[links.of_a] + b.covariances[links.of_b]
-        variance = unexplained_variance(displacements, covariances)
+        rounding = rounding_variance(a)
+        variance = unexplained_variance(displacements, covariances) + rounding
         own = np.trace(covariances, axis1=1, axis2=2) / 3.0
         raw = cls(a.points[links.of_a], displacements, 1.0 / (own + variance), variance)
         left = displacements - raw.field(raw.at, leave_out=True)
-        return cls(raw.at, displacements, raw.weights, unexplained_variance(left, covariances))
+        variance = unexplained_variance(left, covariances) + rounding
+        return cls(raw.at, displacements, raw.weights, variance)
 
     def field(self, points: Floats, leave_out: bool = False) -> Floats:
         """Displacement (n, 3) at points (n, 3); `leave_out` drops the nearest link, itself."""
@@ -138,10 +144,15 @@ class Bending:
         return np.asarray(np.einsum('nk,nkc->nc', weights, self.displacements[nearest]))
 
 
+def rounding_variance(a: Landmarks) -> float:
+    """Variance per coordinate of numbers alone: copies of a map fit without any other."""
+    return float((ROUNDING_RATIO * np.ptp(a.points, axis=0).max()) ** 2 + np.finfo(float).tiny)
+
+
 def unexplained_variance(displacements: Floats, covariances: Floats) -> float:
     """Variance per coordinate that brings the median χ² of (n, 3) displacements to its value."""
     squares = np.sum(displacements**2, axis=1)
-    low, high = 0.0, float(np.median(squares)) + np.finfo(float).tiny
+    low, high = 0.0, float(np.median(squares))
     for _ in range(40):
         middle = 0.5 * (low + high)
         chi2 = mahalanobis(displacements, covariances, middle)

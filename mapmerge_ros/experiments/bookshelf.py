@@ -17,7 +17,8 @@ from mapmerge_ros.experiments.figures import OURS, PAPER, PROCRUSTES, label, new
 from mapmerge_ros.experiments.fixed_transform import compress_held, merge_with_fixed_transform
 from mapmerge_ros.experiments.fleets import map_name
 from mapmerge_ros.experiments.result import Check, Experiment, Results, Summary, Table, Values
-from mapmerge_ros.fusion import FusionConfig, fuse
+from mapmerge_ros.experiments.whole_map import WHOLE_MAP
+from mapmerge_ros.fusion import fuse
 from mapmerge_ros.simulation import Scene, Sensing, Trajectory, fly, look_at
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ PATH_WIDTH, DISTANCE = 0.8, 2.0
 """A hand-held camera is moved this far sideways, this far from the shelf [m]."""
 
 SENSING = Sensing(min_parallax_rad=0.0)
-SIGNIFICANCE = FusionConfig().significance
+SIGNIFICANCE = WHOLE_MAP.significance
 MIN_ONLY_CHANGED = 0.95
 
 
@@ -93,7 +94,7 @@ def _merge_pair(bundles: Sequence[Bundle]) -> dict[str, float]:
         compress(replace(bundle, sigma_px=0.0), name, shared, catalogue=False)
         for bundle, name in zip(bundles, names, strict=True)
     ]
-    verdict = fuse(submaps).verdict
+    verdict = fuse(submaps, WHOLE_MAP).verdict
     price = merge_with_fixed_transform(
         *(compress_held(bundle, name, shared) for bundle, name in zip(bundles, names, strict=True))
     )

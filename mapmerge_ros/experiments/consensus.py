@@ -64,7 +64,7 @@ def find_corrupt(
 
     The test is repeated many times: `config.significance` is best well below 1 / tests.
     """
-    trial = _Trial(config or FusionConfig())
+    trial = _Trial(config or FusionConfig(unlock=False))
     kept, refused = _largest_agreement(list(parts), trial)
     smallest: list[Part] = []
     while refused:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 PARTS, MIN_KEYFRAMES = 8, 3
 
-CONFIG = FusionConfig(significance=1e-4)
+CONFIG = FusionConfig(significance=1e-4, unlock=False)
 """Some twenty tests a run, and none may refuse a good part."""
 
 MIN_NAMED, MAX_RMSE_RATIO = 0.99, 1.05

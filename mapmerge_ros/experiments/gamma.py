@@ -19,6 +19,7 @@ import scipy.stats
 from mapmerge_ros.bundle import Bundle, MapName, compress
 from mapmerge_ros.experiments.figures import NEUTRAL, OURS, PAPER, label, new_figure
 from mapmerge_ros.experiments.result import Check, Experiment, Results, Summary, Table, Values
+from mapmerge_ros.experiments.whole_map import WHOLE_MAP
 from mapmerge_ros.fusion import fuse
 from mapmerge_ros.fusion.refine import Robot, refine
 from mapmerge_ros.simulation import box_truth, measured
@@ -54,8 +55,8 @@ def run_one(seed: int, run: int) -> Values:
 
 def _prices(bundles: Sequence[Bundle]) -> Values:
     submaps = compressed(bundles, SHARED)
-    known = fuse(submaps).verdict
-    estimated = fuse(replace(submap, sigma=0.0) for submap in submaps).verdict
+    known = fuse(submaps, WHOLE_MAP).verdict
+    estimated = fuse([replace(submap, sigma=0.0) for submap in submaps], WHOLE_MAP).verdict
     return {
         'a_tilde': known.a_tilde / SIGMA**2,
         'p_known': known.p_value,

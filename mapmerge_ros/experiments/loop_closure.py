@@ -21,6 +21,7 @@ from mapmerge_ros.experiments.room import (
     true_points,
     without_last_match,
 )
+from mapmerge_ros.experiments.whole_map import WHOLE_MAP
 from mapmerge_ros.fusion import fuse
 from mapmerge_ros.fusion.region import p_value_of
 from mapmerge_ros.simulation import Fleet, joint_bundle, solve
@@ -42,7 +43,7 @@ def _one_scene(rng: np.random.Generator, width: float) -> Mapping[str, object]:
     open_loop = without_last_match(scene, submaps)
     ids = np.unique(np.concatenate([submap.compressed_ids for submap in submaps]))
     open_ids = np.unique(np.concatenate([submap.compressed_ids for submap in open_loop]))
-    merged, unclosed = fuse(submaps), fuse(open_loop)
+    merged, unclosed = fuse(submaps, WHOLE_MAP), fuse(open_loop, WHOLE_MAP)
     truth, points = true_points(scene, ids), merged_points(merged, ids)
     component = merged.components[0]
     full = solve(joint_bundle(fleet)).bundle

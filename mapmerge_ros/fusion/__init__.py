@@ -3,10 +3,12 @@
 """Fusion of compressed sub-maps: one engine, the only state."""
 
 from mapmerge_ros.fusion.accumulate import Receipt
+from mapmerge_ros.fusion.changes import Change, Kind
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.engine import FusionEngine, Snapshot, fuse
 from mapmerge_ros.fusion.outcome import (
     Component,
+    ErrorModel,
     Fusion,
     Landmarks,
     MapAlignment,
@@ -17,10 +19,13 @@ from mapmerge_ros.fusion.outcome import (
 )
 
 __all__ = [
+    'Change',
     'Component',
+    'ErrorModel',
     'Fusion',
     'FusionConfig',
     'FusionEngine',
+    'Kind',
     'Landmarks',
     'MapAlignment',
     'Pair',

@@ -9,56 +9,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Ids, Mask
+from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.associate import Association
-from mapmerge_ros.fusion.compress import (
-    Normal,
-    frame_covariance,
-    most_useful,
-    normal_equations,
-)
+from mapmerge_ros.fusion.changes import Change, Off, describe, find_off, unlocked
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.element import Element, Placement
-from mapmerge_ros.fusion.merge import Estimate
-from mapmerge_ros.fusion.names import Names, name_landmarks
-from mapmerge_ros.fusion.outcome import Component, Landmarks, Verdict
-from mapmerge_ros.fusion.overlap import Link
-from mapmerge_ros.fusion.search import search
+from mapmerge_ros.fusion.honest import Examination
+from mapmerge_ros.fusion.names import Names
+from mapmerge_ros.fusion.outcome import Verdict
+from mapmerge_ros.fusion.outgoing import Merged, compress_component
+from mapmerge_ros.fusion.overlap import Link, components
+from mapmerge_ros.fusion.quadratic import members_of
+from mapmerge_ros.fusion.solution import Anchor, Solution, solve
 from mapmerge_ros.fusion.stopwatch import Stopwatch
-from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue
-from mapmerge_ros.fusion.valley import as_wide_as_it_is
-from mapmerge_ros.fusion.verify import Noise, degrees_of_freedom, pool_noise, verify, verify_merge
+from mapmerge_ros.fusion.verify import Noise, pool_noise, verify_merge
 from mapmerge_ros.geometry import Gauge, Similarity
-from mapmerge_ros.submap import Source, SubMap, pack
+from mapmerge_ros.submap import SubMap
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Merged:
-    """A component with the frames of its sub-maps."""
-
-    component: Component
-    S_global_maps: tuple[Similarity, ...]
-    covariances: tuple[Floats, ...]
-    """(7, 7) each, see `MapAlignment`"""
-
-
-@dataclass(frozen=True, slots=True)
-class Anchor:
-    """The sub-map that holds a global frame still, and where it is in there."""
-
-    map_id: str
-    S_global_map: Similarity
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solution:
-    """Every landmark and frame of the component, in the global frame; `reduced` as merged."""
-
-    elements: tuple[Element, ...]
-    reduced: tuple[Element, ...]
-    points: Floats
-    placements: tuple[Placement, ...]
-    estimate: Estimate
+MAX_ROUNDS = 3
+"""Merges with ever more taken out; what is still found then is refused."""
 
 
 def merge_component(
@@ -73,28 +41,143 @@ def merge_component(
     """
     Merge sub-maps that hang together (indices of `links` refer to them).
 
+    What an examination finds to have moved, and landmarks that do not fit, are taken out, and
+    the rest is merged as if they had not been matched.
+
     Raises
     ------
     DegenerateGeometry
         A landmark or a frame is not determined.
 
     """
-    gauge, noise = min(submap.gauge for submap in submaps), pool_noise(submaps)
-    views = association.views
-    is_shared = views > 1 if len(submaps) > 1 else np.ones(association.count, bool)
-    anchor = anchor or choose_anchor(submaps, gauge)
-    dof = degrees_of_freedom(views, [submap.gauge for submap in submaps], gauge)
-    with stopwatch.measure('merge'):
-        solution = _solve(
-            submaps, association, is_shared, links, noise, gauge, dof, anchor, config
-        )
-    with stopwatch.measure('test'):
-        verdict, examination = verify_merge(
-            solution.reduced, solution.estimate, links, gauge, dof, noise, config
-        )
+    task = _Task(
+        submaps,
+        links,
+        pool_noise(submaps),
+        anchor or choose_anchor(submaps, min(submap.gauge for submap in submaps)),
+        config,
+        stopwatch,
+    )
+    state = first = task.attempt(association, ())
+    for _ in range(MAX_ROUNDS - 1 if config.unlock else 0):
+        following = task.without_what_is_off(state)
+        if following is None:
+            break
+        state = following
     with stopwatch.measure('compress'):
-        part = _compress(submaps, association, solution, noise, verdict, anchor, config, revision)
-    return replace(part, component=replace(part.component, examination=examination))
+        merged = compress_component(
+            submaps,
+            state.association,
+            state.solution,
+            task.noise,
+            state.told(),
+            task.anchor,
+            config,
+            revision,
+        )
+    component = replace(
+        merged.component,
+        examination=first.examination,
+        changes=state.changes(submaps, merged.component.names),
+    )
+    return replace(merged, component=component)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """A merge with its verdict, and what was taken out before."""
+
+    association: Association
+    solution: Solution
+    verdict: Verdict
+    examination: Examination | None
+    taken_out: tuple[tuple[Off, Association, Solution], ...]
+
+    def told(self) -> Verdict:
+        """Verdict on what is merged, with the number of landmarks that are not."""
+        if not self.taken_out:
+            return self.verdict
+        objects = np.concatenate([off.objects for off, _, _ in self.taken_out])
+        moved, aside = int((objects > 0).sum()), int((objects == 0).sum())
+        return replace(
+            self.verdict,
+            moved=self.verdict.moved + moved,
+            set_aside=self.verdict.set_aside + aside,
+        )
+
+    def changes(self, submaps: Sequence[SubMap], names: Names) -> tuple[Change, ...]:
+        """Return what was taken out, where it is now."""
+        return tuple(
+            change
+            for off, before, solution in self.taken_out
+            for change in describe(
+                off,
+                before,
+                submaps,
+                solution.rows,
+                self.solution.points,
+                self.solution.S_global_estimate,
+                names,
+            )
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """What stays the same however often a component is merged."""
+
+    submaps: Sequence[SubMap]
+    links: Sequence[Link]
+    noise: Noise
+    anchor: Anchor
+    config: FusionConfig
+    stopwatch: Stopwatch
+
+    def attempt(
+        self,
+        association: Association,
+        taken_out: tuple[tuple[Off, Association, Solution], ...],
+    ) -> _State:
+        with self.stopwatch.measure('merge'):
+            solution = solve(
+                self.submaps, association, self.links, self.noise, self.anchor, self.config
+            )
+        with self.stopwatch.measure('test'):
+            gauge = min(submap.gauge for submap in self.submaps)
+            verdict, examination = verify_merge(
+                solution.reduced,
+                solution.estimate,
+                self.links,
+                gauge,
+                solution.dof,
+                self.noise,
+                self.config,
+            )
+        return _State(association, solution, verdict, examination, taken_out)
+
+    def without_what_is_off(self, state: _State) -> _State | None:
+        """Merge again without it; None if nothing is, or too much for the rest to be believed."""
+        if state.examination is None:
+            return None
+        members = members_of(state.solution.reduced)
+        before = max((int(off.objects.max()) for off, _, _ in state.taken_out), default=0)
+        off = find_off(state.examination, members, self.submaps, before)
+        if not len(off) or not off.believable:
+            return None
+        association = unlocked(state.association, off, state.solution.rows)
+        if not self._connected(association):
+            return None
+        try:
+            return self.attempt(
+                association, (*state.taken_out, (off, state.association, state.solution))
+            )
+        except DegenerateGeometry:
+            return None
+
+    def _connected(self, association: Association) -> bool:
+        counts = association.shared_counts()
+        left = [link for link in self.links if counts[link.a, link.b] >= self.config.min_shared]
+        return len(components(len(self.submaps), left)) == 1
 
 
 def choose_anchor(submaps: Sequence[SubMap], gauge: Gauge) -> Anchor:
@@ -102,163 +185,3 @@ def choose_anchor(submaps: Sequence[SubMap], gauge: Gauge) -> Anchor:
     eligible = (submap for submap in submaps if submap.gauge == gauge)
     oldest = min(eligible, key=lambda submap: (submap.stamp_ns, submap.map_id))
     return Anchor(oldest.map_id, Similarity.identity())
-
-
-def _solve(
-    submaps: Sequence[SubMap],
-    association: Association,
-    is_shared: Mask,
-    links: Sequence[Link],
-    noise: Noise,
-    gauge: Gauge,
-    dof: int,
-    anchor: Anchor,
-    config: FusionConfig,
-) -> _Solution:
-    elements = tuple(
-        Element.from_submap(submap, tracks, is_shared[tracks], float(weight))
-        for submap, tracks, weight in zip(submaps, association.tracks, noise.weights, strict=True)
-    )
-    shared = np.flatnonzero(is_shared)
-    slots = np.cumsum(is_shared) - 1
-    reduced = [
-        replace(element, tracks=slots[element.tracks])
-        for element in (element.reduced() for element in elements)
-    ]
-    estimate = search(
-        reduced,
-        links,
-        gauge,
-        lambda price: verify(price, dof, noise, config).accepted,
-        config,
-    )
-
-    points = np.full((association.count, 3), np.nan)
-    points[shared] = estimate.points
-    for element in elements:
-        points[element.tracks[~element.is_shared]] = element.recover_private(points)
-    held = [submap.map_id for submap in submaps].index(anchor.map_id)
-    points = (anchor.S_global_map @ elements[held].place(points).S_map_global).apply(points)
-    placements = tuple(element.place(points) for element in elements)
-    return _Solution(elements, tuple(reduced), points, placements, estimate)
-
-
-def _compress(
-    submaps: Sequence[SubMap],
-    association: Association,
-    solution: _Solution,
-    noise: Noise,
-    verdict: Verdict,
-    anchor: Anchor,
-    config: FusionConfig,
-    revision: int,
-) -> Merged:
-    normal = normal_equations(
-        solution.elements,
-        solution.points,
-        solution.placements,
-        min(submap.gauge for submap in submaps),
-    )
-    normal, covariance = as_wide_as_it_is(
-        solution.elements, solution.placements, normal, noise.sigma
-    )
-    names = name_landmarks(submaps, association)
-    ids = names.of_tracks(association)
-    S_global_maps = tuple(placement.S_map_global.inverse() for placement in solution.placements)
-    catalogue = build_catalogue(submaps, S_global_maps, association, names)
-    keep = most_useful(np.where(names.nameless, 0, association.views), ids, config.max_landmarks)
-    keep &= ~names.nameless
-    component = Component(
-        map_ids=tuple(submap.map_id for submap in submaps),
-        gauge=normal.gauge,
-        anchor=anchor.map_id,
-        submap=_global_submap(
-            submaps,
-            normal.without(~keep),
-            ids[keep],
-            catalogue,
-            names.id_space,
-            noise,
-            verdict,
-            config,
-            revision,
-        ),
-        landmarks=_landmarks(submaps, association, names, solution.points, covariance),
-        verdict=verdict,
-        iterations=solution.estimate.iterations,
-        converged=solution.estimate.converged,
-        starts=solution.estimate.starts,
-        cost_history=solution.estimate.history,
-        association=association,
-        names=names,
-    )
-    covariances = tuple(
-        frame_covariance(element, placement, covariance)
-        for element, placement in zip(solution.elements, solution.placements, strict=True)
-    )
-    return Merged(component, S_global_maps, covariances)
-
-
-def _landmarks(
-    submaps: Sequence[SubMap],
-    association: Association,
-    names: Names,
-    points: Floats,
-    covariance: Floats,
-) -> Landmarks:
-    rows = np.concatenate(association.tracks)
-    order = np.argsort(rows, kind='stable')
-    is_named = ~names.nameless
-    order = order[is_named[rows[order]]]
-    slots = np.cumsum(is_named) - 1
-    maps = [submap.map_id for submap in submaps for _ in range(submap.compressed_count)]
-    member_ids = np.concatenate([submap.compressed_ids for submap in submaps])
-    return Landmarks(
-        ids=names.of_tracks(association)[is_named],
-        points_global=points[is_named],
-        std=np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, 3)[is_named],
-        member_rows=slots[rows[order]],
-        member_maps=tuple(maps[int(k)] for k in order),
-        member_ids=member_ids[order],
-    )
-
-
-def _global_submap(
-    submaps: Sequence[SubMap],
-    normal: Normal,
-    ids: Ids,
-    catalogue: Catalogue,
-    id_space: str,
-    noise: Noise,
-    verdict: Verdict,
-    config: FusionConfig,
-    revision: int,
-) -> SubMap:
-    r, c = normal.triangle()
-    in_r = catalogue.rows(ids)
-    others = np.setdiff1d(np.arange(len(catalogue.ids)), in_r)
-    rows = np.concatenate([in_r, others if config.catalogue else others[:0]])
-    price = verdict.a_tilde - float(c @ c)
-    a2 = float(noise.weights @ [submap.a**2 for submap in submaps]) + max(price, 0.0)
-    sources: set[Source] = {source for submap in submaps for source in submap.sources}
-    return SubMap(
-        map_id=config.map_id,
-        robot_id=config.map_id.partition('/')[0],
-        revision=revision,
-        stamp_ns=max(submap.stamp_ns for submap in submaps),
-        frame_id=config.global_frame,
-        sources=tuple(sorted(sources)),
-        gauge=normal.gauge,
-        id_space=id_space,
-        landmark_ids=catalogue.ids[rows],
-        points=np.concatenate([normal.points, catalogue.points_global[rows[len(ids) :]]]),
-        covariances=None if catalogue.covariances is None else catalogue.covariances[rows],
-        compressed_count=len(ids),
-        a=float(np.sqrt(a2)),
-        packed_r=pack(r),
-        c=c,
-        residual_count=sum(submap.residual_count for submap in submaps),
-        dof=sum(submap.dof for submap in submaps) - verdict.dof,
-        sigma=0.0 if noise.estimated_from else noise.sigma,
-        descriptors=catalogue.descriptors[rows],
-    )

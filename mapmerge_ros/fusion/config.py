@@ -49,6 +49,12 @@ class FusionConfig:
     """
     significance: float = 0.01
     """The merge is not believed below this p-value (the paper takes the 99th percentile)."""
+    unlock: bool = True
+    """
+    Whether landmarks that moved or do not fit are taken out and the rest is merged without them.
+
+    Without it the whole-map test of the paper refuses a merge in which something moved.
+    """
     max_iterations: int = 200
     """
     Gauss-Newton steps; 5 to 12 are usual.

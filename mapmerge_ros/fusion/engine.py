@@ -18,7 +18,6 @@ from mapmerge_ros.fusion.accumulate import Receipt, Store, without_duplicates
 from mapmerge_ros.fusion.asking import Asking
 from mapmerge_ros.fusion.associate import Association, of_compressed, split_contradictions
 from mapmerge_ros.fusion.catalogues import Tracks
-from mapmerge_ros.fusion.component import Anchor
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.copies import without_copies
 from mapmerge_ros.fusion.groups import Problem, merge_groups
@@ -31,6 +30,7 @@ from mapmerge_ros.fusion.outcome import (
 )
 from mapmerge_ros.fusion.overlap import Link, find_links
 from mapmerge_ros.fusion.requests import Denial, plan_requests
+from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.fusion.states import aligned, left_out
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.submap import Request, SubMap

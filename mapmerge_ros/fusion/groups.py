@@ -11,10 +11,12 @@ import numpy as np
 
 from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion.associate import Association
-from mapmerge_ros.fusion.component import Anchor, Merged, merge_component
+from mapmerge_ros.fusion.component import merge_component
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.outcome import Refusal
+from mapmerge_ros.fusion.outgoing import Merged
 from mapmerge_ros.fusion.overlap import Link, components
+from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.submap import SubMap
 

@@ -38,13 +38,13 @@ def name_landmarks(submaps: Sequence[SubMap], association: Association) -> Names
     """
     Name the landmarks of sub-maps that are merged into one.
 
-    Within one id space, and for a map alone, ids stay what they are. Otherwise a landmark is
-    named after its first member, by order of the sub-maps: the name stays the same for as long
-    as that member is there.
+    Within one id space, and for a map alone, ids stay what they are; of a landmark that moved,
+    the newest place has the id. Otherwise a landmark is named after its first member, by order
+    of the sub-maps: the name stays the same for as long as that member is there.
     """
     spaces = {submap.id_space for submap in submaps}
     if len(submaps) == 1 or (len(spaces) == 1 and '' not in spaces):
-        own_ids = tuple(submap.landmark_ids for submap in submaps)
+        own_ids = _current_first(submaps, association)
         return Names(own_ids, submaps[0].id_space, association.nameless)
     tracks = [
         np.concatenate([own, others])
@@ -55,6 +55,29 @@ def name_landmarks(submaps: Sequence[SubMap], association: Association) -> Names
         names[own] = private_names(submap.map_id, submap.landmark_ids)
     nameless = np.zeros(association.count, bool)
     return Names(tuple(names[own] for own in tracks), '', nameless)
+
+
+def _current_first(submaps: Sequence[SubMap], association: Association) -> tuple[Ids, ...]:
+    """Ids (n_k,) per sub-map; of several tracks with one id the newest keeps it."""
+    own_ids = [submap.landmark_ids for submap in submaps]
+    ids, newest = np.zeros(association.count, np.uint64), np.zeros(association.count, np.int64)
+    for submap, tracks in zip(submaps, association.tracks, strict=True):
+        ids[tracks] = submap.compressed_ids
+        newest[tracks] = np.maximum(newest[tracks], submap.stamp_ns)
+    order = np.lexsort((np.arange(association.count), -newest, association.nameless, ids))
+    again = np.r_[False, ids[order][1:] == ids[order][:-1]]
+    outdated = np.zeros(association.count, bool)
+    outdated[order[again]] = True
+    outdated &= ~association.nameless
+    if not outdated.any():
+        return tuple(own_ids)
+    for submap, tracks in reversed(list(zip(submaps, association.tracks, strict=True))):
+        old = outdated[tracks]
+        ids[tracks[old]] = private_names(submap.map_id, submap.compressed_ids[old])
+    return tuple(
+        np.concatenate([ids[tracks], own[len(tracks) :]])
+        for tracks, own in zip(association.tracks, own_ids, strict=True)
+    )
 
 
 def private_names(map_id: str, landmark_ids: Ids) -> Ids:

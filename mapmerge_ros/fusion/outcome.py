@@ -12,6 +12,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.association import PairMatch
 from mapmerge_ros.fusion.associate import Association
+from mapmerge_ros.fusion.changes import Change
 from mapmerge_ros.fusion.honest import Examination
 from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.geometry import Gauge, Similarity
@@ -172,7 +173,9 @@ class Component:
     names: Names
     """Ids of their landmarks in the merged map"""
     examination: Examination | None = None
-    """Single landmarks and objects behind the verdict; None: nothing is merged"""
+    """Single landmarks and objects, before anything was taken out; None: nothing is merged"""
+    changes: tuple[Change, ...] = ()
+    """What one sub-map has elsewhere than the others; it is not merged"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,6 +213,11 @@ class Fusion:
     def verdict(self) -> Verdict:
         """Verdict on the global map; that of an empty merge when there is none."""
         return self.components[0].verdict if self.components else EMPTY_VERDICT
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """What was found to have moved, or not to fit, in the global map."""
+        return self.components[0].changes if self.components else ()
 
     def in_state(self, state: State) -> tuple[MapAlignment, ...]:
         """Return the sub-maps in one state."""

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mapmerge_ros.association import Decision
-from mapmerge_ros.fusion.component import Merged
 from mapmerge_ros.fusion.outcome import MapAlignment, Match, Refusal, State
+from mapmerge_ros.fusion.outgoing import Merged
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import SubMap

@@ -19,8 +19,8 @@ from mcap.reader import make_reader
 
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.fusion import Snapshot
-from mapmerge_ros.fusion.component import Anchor
 from mapmerge_ros.fusion.requests import Denial
+from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.io.bags import BagError, Recorded, read_submaps
 from mapmerge_ros.io.recorder import record

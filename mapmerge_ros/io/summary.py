@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from mapmerge_ros.fusion import Fusion, MapAlignment, Verdict
+from mapmerge_ros.fusion import Change, ErrorModel, Fusion, MapAlignment, Verdict
 from mapmerge_ros.fusion.outcome import Match
 from mapmerge_ros.io.codec import encode_submap
 from mapmerge_ros.submap import SubMap
@@ -48,7 +48,7 @@ def summarise(fusion: Fusion, traffic: Traffic | None = None) -> dict[str, Any]:
     summary = {
         'sub_maps': sub_maps,
         'test': _test(fusion.verdict),
-        'changes': [],
+        'changes': [_change(change) for change in fusion.changes],
         'components': [list(component.map_ids) for component in fusion.components],
         'pairs': [{'a': x.a, 'b': x.b, 'shared': x.shared} for x in fusion.pairs],
         'matches': [_match(match) for match in fusion.matches],
@@ -136,6 +136,32 @@ def _test(verdict: Verdict) -> dict[str, Any]:
         'p_value': verdict.p_value,
         'accepted': verdict.accepted,
         'reason': verdict.reason,
+        'textbook_p_value': verdict.textbook_p_value,
+        'errors': None if verdict.errors is None else _errors(verdict.errors),
+        'set_aside': verdict.set_aside,
+        'moved': verdict.moved,
+    }
+
+
+def _errors(errors: ErrorModel) -> dict[str, float]:
+    return {
+        'noise_factor': errors.phi,
+        'floor_ratio': errors.tau_ratio,
+        'warp_ratio': errors.omega_ratio,
+        'tail_freedom': errors.tail_freedom,
+    }
+
+
+def _change(change: Change) -> dict[str, Any]:
+    return {
+        'landmark': change.landmark_id,
+        'map_id': change.map_id,
+        'kind': change.kind.name.lower(),
+        'object': change.object_id or None,
+        'position': change.position_global.tolist(),
+        'displacement': change.displacement_global.tolist(),
+        'std': change.std.tolist(),
+        'p_value': change.p_value,
     }
 
 

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
-from mapmerge_ros.fusion import Fusion, MapAlignment, State, Verdict
+import numpy as np
+
+from mapmerge_ros.fusion import Change, Fusion, MapAlignment, State, Verdict
 from mapmerge_ros.io.comparison import TruthComparison
 
 
@@ -28,17 +30,37 @@ def belief(verdict: Verdict) -> str:
         return 'There is nothing to test: no landmark is held by more than one sub-map.'
     if not verdict.accepted:
         return f'The test does not believe it: {verdict.reason}.'
-    return (
-        f'The test believes it: the merge costs {verdict.variance_factor:.2f} times what noise '
-        f'of {verdict.sigma:.3g} px explains (p = {verdict.p_value:.2g}).'
-    )
+    price = f'the merge costs {verdict.variance_factor:.2f} times what noise of '
+    price += f'{verdict.sigma:.3g} px explains'
+    if verdict.errors is not None:
+        price += (
+            f', as it does for maps with noise × {verdict.errors.phi:.2g} and a warp of '
+            f'{verdict.errors.omega_ratio:.2%} of the scene'
+        )
+    return f'The test believes it: {price} (p = {verdict.p_value:.2g}).'
+
+
+def what_moved(fusion: Fusion) -> str:
+    """Say what was found to be elsewhere; empty if nothing was."""
+    objects: dict[int, list[Change]] = {}
+    for change in fusion.changes:
+        objects.setdefault(change.object_id, []).append(change)
+    doubtful = objects.pop(0, [])
+    parts = [
+        f'{counted(len(changes), "landmark")} of {changes[0].map_id} moved together by '
+        f'{np.median([np.linalg.norm(x.displacement_global) for x in changes]):.3g}'
+        for _, changes in sorted(objects.items())
+    ]
+    if doubtful:
+        parts.append(f'{counted(len(doubtful), "landmark")} did not fit (wrong match, or moved)')
+    return f'Taken out of the merge: {"; ".join(parts)}.' if parts else ''
 
 
 def verdict_sentences(fusion: Fusion) -> str:
-    """Say what was merged, and whether to believe it."""
+    """Say what was merged, whether to believe it, and what moved."""
     if not fusion.in_state(State.MERGED):
         return headline(fusion)
-    return f'{headline(fusion)} {belief(fusion.verdict)}'
+    return f'{headline(fusion)} {belief(fusion.verdict)} {what_moved(fusion)}'.rstrip()
 
 
 def left_out(fusion: Fusion) -> tuple[MapAlignment, ...]:

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from mapmerge_msgs.msg import Alignment, AlignmentArray, FusionStatus
+from geometry_msgs.msg import Point
+from mapmerge_msgs.msg import Alignment, AlignmentArray, Change, ChangeArray, FusionStatus
 from std_msgs.msg import Header
 
+from mapmerge_ros import fusion
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.fusion import Fusion, FusionConfig, MapAlignment, State
 from mapmerge_ros.geometry import Similarity, skew
@@ -39,6 +41,11 @@ class Outgoing:
         """AlignmentArray of every sub-map that the engine held."""
         found = [_alignment(item) for item in self.fusion.alignments]
         return AlignmentArray(header=self.header, alignments=found)
+
+    def changes(self) -> Any:
+        """ChangeArray of what was taken out of the merge."""
+        found = [_change(change) for change in self.fusion.changes]
+        return ChangeArray(header=self.header, changes=found)
 
     def status(self, ledger: Ledger) -> Any:
         """FusionStatus with the evidence of this fusion and the counters of the node."""
@@ -102,6 +109,22 @@ def _alignment(item: MapAlignment) -> Any:
         rotation=quaternion(S_global_map.rotation),
         translation=vector(S_global_map.translation),
         covariance=covariance_of_parts(S_global_map, item.covariance).ravel(),
+    )
+
+
+def _change(change: fusion.Change) -> Any:
+    position = change.position_global
+    return Change(
+        map_id=change.map_id,
+        revision=change.revision,
+        landmark_id=change.landmark_id,
+        global_landmark_id=change.global_id,
+        position=Point(x=position[0], y=position[1], z=position[2]),
+        displacement=vector(change.displacement_global),
+        covariance=change.covariance.ravel(),
+        p_value=change.p_value,
+        object_id=change.object_id,
+        kind=int(change.kind),
     )
 
 

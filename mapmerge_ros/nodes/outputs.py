@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mapmerge_msgs.msg import AlignmentArray, FusionStatus, LandmarkRequest, SubMap
+from mapmerge_msgs.msg import AlignmentArray, ChangeArray, FusionStatus, LandmarkRequest, SubMap
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -27,6 +27,7 @@ class Outputs:
         self._node = node
         self._global_map = node.create_publisher(SubMap, '~/global_map', LATCHED_PROFILE)
         self._alignments = node.create_publisher(AlignmentArray, '~/alignments', LATCHED_PROFILE)
+        self._changes = node.create_publisher(ChangeArray, '~/changes', LATCHED_PROFILE)
         self._points = node.create_publisher(PointCloud2, '~/points', LATCHED_PROFILE)
         self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED_PROFILE)
         self._status = node.create_publisher(FusionStatus, '~/status', LATCHED_PROFILE)
@@ -50,6 +51,7 @@ class Outputs:
         self._points.publish(product.cloud.message(header))
         self._markers.publish(Drawing(product.fusion, header, max_ellipsoids).message())
         self._alignments.publish(outgoing.alignments())
+        self._changes.publish(outgoing.changes())
         status = outgoing.status(ledger)
         self._status.publish(status)
         return status
@@ -64,6 +66,7 @@ class Outputs:
         for publisher in (
             self._global_map,
             self._alignments,
+            self._changes,
             self._points,
             self._markers,
             self._status,

@@ -141,6 +141,12 @@ CONFIG_SETTINGS = (
         'Whether the global map carries the other landmarks, position and descriptor only.',
     ),
     Setting(
+        'unlock',
+        CONFIG.unlock,
+        'Whether landmarks that moved or do not fit are taken out, and the rest is merged without '
+        'them.',
+    ),
+    Setting(
         'match_descriptors',
         CONFIG.match_descriptors,
         'Whether landmarks without a common id space are matched by descriptors and geometry.',

@@ -1,0 +1,160 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A merged component as it goes out: compressed again, with its landmarks and frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmerge_ros.arrays import Floats, Ids
+from mapmerge_ros.fusion.associate import Association
+from mapmerge_ros.fusion.compress import (
+    Normal,
+    frame_covariance,
+    most_useful,
+    normal_equations,
+)
+from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.names import Names, name_landmarks
+from mapmerge_ros.fusion.outcome import Component, Landmarks, Verdict
+from mapmerge_ros.fusion.solution import Anchor, Solution
+from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue
+from mapmerge_ros.fusion.valley import as_wide_as_it_is
+from mapmerge_ros.fusion.verify import Noise
+from mapmerge_ros.geometry import Similarity
+from mapmerge_ros.submap import Source, SubMap, pack
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Merged:
+    """A component with the frames of its sub-maps."""
+
+    component: Component
+    S_global_maps: tuple[Similarity, ...]
+    covariances: tuple[Floats, ...]
+    """(7, 7) each, see `MapAlignment`"""
+
+
+def compress_component(
+    submaps: Sequence[SubMap],
+    association: Association,
+    solution: Solution,
+    noise: Noise,
+    verdict: Verdict,
+    anchor: Anchor,
+    config: FusionConfig,
+    revision: int,
+) -> Merged:
+    """Compress a merged component again, all frames eliminated."""
+    normal = normal_equations(
+        solution.elements,
+        solution.points,
+        solution.placements,
+        min(submap.gauge for submap in submaps),
+    )
+    normal, covariance = as_wide_as_it_is(
+        solution.elements, solution.placements, normal, noise.sigma
+    )
+    names = name_landmarks(submaps, association)
+    ids = names.of_tracks(association)
+    S_global_maps = tuple(placement.S_map_global.inverse() for placement in solution.placements)
+    catalogue = build_catalogue(submaps, S_global_maps, association, names)
+    keep = most_useful(np.where(names.nameless, 0, association.views), ids, config.max_landmarks)
+    keep &= ~names.nameless
+    component = Component(
+        map_ids=tuple(submap.map_id for submap in submaps),
+        gauge=normal.gauge,
+        anchor=anchor.map_id,
+        submap=_global_submap(
+            submaps,
+            normal.without(~keep),
+            ids[keep],
+            catalogue,
+            names.id_space,
+            noise,
+            verdict,
+            config,
+            revision,
+        ),
+        landmarks=_landmarks(submaps, association, names, solution.points, covariance),
+        verdict=verdict,
+        iterations=solution.estimate.iterations,
+        converged=solution.estimate.converged,
+        starts=solution.estimate.starts,
+        cost_history=solution.estimate.history,
+        association=association,
+        names=names,
+    )
+    covariances = tuple(
+        frame_covariance(element, placement, covariance)
+        for element, placement in zip(solution.elements, solution.placements, strict=True)
+    )
+    return Merged(component, S_global_maps, covariances)
+
+
+def _landmarks(
+    submaps: Sequence[SubMap],
+    association: Association,
+    names: Names,
+    points: Floats,
+    covariance: Floats,
+) -> Landmarks:
+    rows = np.concatenate(association.tracks)
+    order = np.argsort(rows, kind='stable')
+    is_named = ~names.nameless
+    order = order[is_named[rows[order]]]
+    slots = np.cumsum(is_named) - 1
+    maps = [submap.map_id for submap in submaps for _ in range(submap.compressed_count)]
+    member_ids = np.concatenate([submap.compressed_ids for submap in submaps])
+    return Landmarks(
+        ids=names.of_tracks(association)[is_named],
+        points_global=points[is_named],
+        std=np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, 3)[is_named],
+        member_rows=slots[rows[order]],
+        member_maps=tuple(maps[int(k)] for k in order),
+        member_ids=member_ids[order],
+    )
+
+
+def _global_submap(
+    submaps: Sequence[SubMap],
+    normal: Normal,
+    ids: Ids,
+    catalogue: Catalogue,
+    id_space: str,
+    noise: Noise,
+    verdict: Verdict,
+    config: FusionConfig,
+    revision: int,
+) -> SubMap:
+    r, c = normal.triangle()
+    in_r = catalogue.rows(ids)
+    others = np.setdiff1d(np.arange(len(catalogue.ids)), in_r)
+    rows = np.concatenate([in_r, others if config.catalogue else others[:0]])
+    price = verdict.a_tilde - float(c @ c)
+    a2 = float(noise.weights @ [submap.a**2 for submap in submaps]) + max(price, 0.0)
+    sources: set[Source] = {source for submap in submaps for source in submap.sources}
+    return SubMap(
+        map_id=config.map_id,
+        robot_id=config.map_id.partition('/')[0],
+        revision=revision,
+        stamp_ns=max(submap.stamp_ns for submap in submaps),
+        frame_id=config.global_frame,
+        sources=tuple(sorted(sources)),
+        gauge=normal.gauge,
+        id_space=id_space,
+        landmark_ids=catalogue.ids[rows],
+        points=np.concatenate([normal.points, catalogue.points_global[rows[len(ids) :]]]),
+        covariances=None if catalogue.covariances is None else catalogue.covariances[rows],
+        compressed_count=len(ids),
+        a=float(np.sqrt(a2)),
+        packed_r=pack(r),
+        c=c,
+        residual_count=sum(submap.residual_count for submap in submaps),
+        dof=sum(submap.dof for submap in submaps) - verdict.dof,
+        sigma=0.0 if noise.estimated_from else noise.sigma,
+        descriptors=catalogue.descriptors[rows],
+    )
