@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -210,3 +211,31 @@ def test_axes_of_an_ellipsoid() -> None:
     np.testing.assert_allclose(rebuilt, covariance, atol=1e-9)
     assert (axes(np.diag([1e9, 1.0, 0.0]), 5.0)[0] <= 10.0).all()
     assert (axes(np.zeros((3, 3)), 5.0)[0] > 0.0).all()
+
+
+def test_without_tf2_messages_there_is_one_line_and_all_the_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small: tuple[SubMap, ...]
+) -> None:
+    (tmp_path / 'tf2_msgs').mkdir()
+    (tmp_path / 'tf2_msgs' / '__init__.py').write_text("raise ImportError('not installed')\n")
+    paths = [str(tmp_path), *filter(None, [os.environ.get('PYTHONPATH')])]
+    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(paths))
+    with (
+        Children(free_domain(), tmp_path / 'logs') as children,
+        observing(children.domain) as observer,
+    ):
+        children.start('fusion', FUSION, {'merge_period': 0.1})
+        for submap in small:
+            observer.send('/submaps', submap)
+        points = latest(observer, PointCloud2, '/fusion_node/points')
+        spin_until(
+            [observer],
+            lambda: (
+                points
+                and observer.heard.is_complete
+                and observer.heard.status.merged == len(small)
+            ),
+            'all merged',
+        )
+        assert children.log('fusion').read_text().count(MISSING) == 1
+        assert not observer.get_publishers_info_by_topic('/tf_static')
