@@ -39,7 +39,7 @@ $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
 # The package index is the only thing that is needed from outside.
-$(VENV)/.installed: setup.py pyproject.toml $(wildcard msg_schemas/*/*.?? msg_schemas/*.*) | $(VENV)/bin/python
+$(VENV)/.installed: setup.py pyproject.toml $(wildcard msg_schemas/*/*.??? msg_schemas/*.*) | $(VENV)/bin/python
 	@echo 'installing into $(VENV): about two minutes'
 	$(PIP) install -e '.[colmap,ros]' ./msg_schemas
 	@touch $@

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from ros_processes import (
     observing,
     spin_until,
 )
+from test_node_fleets import submap_of
 
 from mapmerge_ros.cli.processes import Children, free_domain
 from mapmerge_ros.fusion import FusionConfig, Snapshot, State, fuse
@@ -136,23 +139,61 @@ def assert_frames(transforms: Any, fusion: Any) -> None:
         np.testing.assert_allclose(column, S_global_map.rotation[:, 0], atol=1e-9)
 
 
-def test_colours_do_not_depend_on_the_order_of_arrival(submaps: tuple[SubMap, ...]) -> None:
-    there, back = fuse(submaps), fuse(Snapshot(submaps[::-1]))
+def test_what_moved_is_told_and_drawn(children: Children, observer: Observer) -> None:
+    pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres')
+    from mapmerge_msgs.msg import Change, ChangeArray
+
+    from mapmerge_ros.simulation import FleetConfig, simulate_fleet
+
+    fleet = simulate_fleet(FleetConfig(moved=1), 1).submaps()
+    children.start('fusion', FUSION, {'merge_period': 0.2})
+    for submap in fleet:
+        observer.send(f'/{submap.robot_id}/submap', submap)
+    spin_until(
+        [observer],
+        lambda: observer.heard.is_complete and observer.heard.status.merged == len(fleet),
+        'all merged',
+    )
+    changes = latest(observer, ChangeArray, '/fusion_node/changes')
+    markers = latest(observer, visualization.MarkerArray, '/fusion_node/markers')
+    spin_until([observer], lambda: changes and markers, 'the latest of each')
+    told = changes['message'].changes
+    moved = [change for change in told if change.kind == Change.KIND_MOVED]
+    assert len(moved) >= 5
+    arrows = [marker for marker in markers['message'].markers if marker.ns == 'changes']
+    assert len(arrows) == len(told)
+    for change, arrow in zip(told, arrows, strict=True):
+        tail, tip = arrow.points
+        assert tip == change.position
+        assert tip.x - tail.x == pytest.approx(change.displacement.x, abs=1e-9)
+    spin_until(
+        [observer],
+        lambda: observer.node_values.get('moved') == str(len(moved)),
+        'the diagnostics count them',
+    )
+
+
+@pytest.fixture(scope='module')
+def small() -> tuple[SubMap, ...]:
+    """Maps of one small scene: fused in no time."""
+    return tuple(submap_of(0, k, 1, k) for k in range(4))
+
+
+def test_colours_do_not_depend_on_the_order_of_arrival(small: tuple[SubMap, ...]) -> None:
+    there, back = fuse(small), fuse(Snapshot(small[::-1]))
     assert robot_colours(there) == robot_colours(back)
     assert make_cloud(there).data == make_cloud(back).data
 
 
-def test_frames_that_collide_are_left_out_and_named(submaps: tuple[SubMap, ...]) -> None:
-    from dataclasses import replace
-
-    first, second, *others = submaps
+def test_frames_that_collide_are_left_out_and_named(small: tuple[SubMap, ...]) -> None:
+    first, second, *others = small
     named = [replace(first, frame_id='map'), replace(second, frame_id='/map'), *others]
     placed, problems = placeable(fuse(named), 'global')
     assert {x.submap.map_id for x in placed} == {x.map_id for x in others}
     assert problems == ["frame 'map' belongs to 2 sub-maps: none of them is in TF"]
     named = [replace(first, frame_id='global'), second, *others]
     placed, problems = placeable(fuse(named), 'global')
-    assert len(placed) == len(submaps) - 1
+    assert len(placed) == len(small) - 1
     assert len(problems) == 1
 
 
@@ -170,3 +211,31 @@ def test_axes_of_an_ellipsoid() -> None:
     np.testing.assert_allclose(rebuilt, covariance, atol=1e-9)
     assert (axes(np.diag([1e9, 1.0, 0.0]), 5.0)[0] <= 10.0).all()
     assert (axes(np.zeros((3, 3)), 5.0)[0] > 0.0).all()
+
+
+def test_without_tf2_messages_there_is_one_line_and_all_the_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small: tuple[SubMap, ...]
+) -> None:
+    (tmp_path / 'tf2_msgs').mkdir()
+    (tmp_path / 'tf2_msgs' / '__init__.py').write_text("raise ImportError('not installed')\n")
+    paths = [str(tmp_path), *filter(None, [os.environ.get('PYTHONPATH')])]
+    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(paths))
+    with (
+        Children(free_domain(), tmp_path / 'logs') as children,
+        observing(children.domain) as observer,
+    ):
+        children.start('fusion', FUSION, {'merge_period': 0.1})
+        for submap in small:
+            observer.send('/submaps', submap)
+        points = latest(observer, PointCloud2, '/fusion_node/points')
+        spin_until(
+            [observer],
+            lambda: (
+                points
+                and observer.heard.is_complete
+                and observer.heard.status.merged == len(small)
+            ),
+            'all merged',
+        )
+        assert children.log('fusion').read_text().count(MISSING) == 1
+        assert not observer.get_publishers_info_by_topic('/tf_static')

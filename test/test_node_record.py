@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ros_processes import FUSION, Observer, load, make_recording, observing, spin_until
+from ros_processes import FUSION, Observer, load, make_recording, observing, spin_for, spin_until
 from rosbags.rosbag2 import Reader
 
 from mapmerge_ros.cli.main import main
@@ -66,7 +66,8 @@ def test_what_was_said_is_recorded_what_was_latched_before_too(
             'a map',
         )
         words = (tmp_path / 'record.log').read_text
-        spin_until([observer], lambda: '/fusion_node/status' in words(), 'results')
+        results = [f'/fusion_node/{name}' for name in ('alignments', 'global_map', 'status')]
+        spin_until([observer], lambda: all(x in words() for x in results), 'results')
     finally:
         # As Ctrl-C in a terminal does: the whole group hears it.
         os.killpg(recorder.pid, signal.SIGINT)
@@ -77,7 +78,7 @@ def test_what_was_said_is_recorded_what_was_latched_before_too(
     assert {encode_submap(submaps[0]), encode_submap(submaps[1])} <= raw
     with Reader(file) as reader:
         topics = {x.topic for x in reader.connections if x.msgcount}
-    assert {'/fusion_node/alignments', '/fusion_node/global_map', '/fusion_node/status'} <= topics
+    assert set(results) <= topics
     assert main(['info', str(file)]) == 0
 
 
@@ -101,6 +102,20 @@ def test_a_replay_goes_on_from_a_state(submaps: tuple[SubMap, ...], tmp_path: Pa
     assert [x['state'] for x in rest['sub_maps']] == [x['state'] for x in whole['sub_maps']]
     missing = ['replay', str(tmp_path / 'whole.mcap'), '--resume', str(tmp_path / 'no.mcap')]
     assert main([*missing, '--out', str(tmp_path / 'x')]) == 1
+
+
+def test_record_ends_at_sigterm_with_a_whole_file(
+    children: Children, observer: Observer, submaps: tuple[SubMap, ...], tmp_path: Path
+) -> None:
+    file = tmp_path / 'site.mcap'
+    observer.send('/a/submap', submaps[0])
+    command = [sys.executable, '-m', 'mapmerge_ros.cli.main', 'record', '-o', str(file)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, env=os.environ) as recorder:
+        spin_until([observer], lambda: observer.heard_by('/a/submap'), 'it listens')
+        spin_for([observer], 0.5)
+        recorder.terminate()
+        assert recorder.wait(20) == 0
+    assert list(read_raw(file, SUBMAP)) == [encode_submap(submaps[0])]
 
 
 def test_record_says_what_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import signal
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -63,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
     }
     parameters = [x for key, value in values.items() for x in ('-p', f'{key}:={_yaml(value)}')]
     process = subprocess.Popen([sys.executable, '-m', NODE, '--ros-args', *parameters])
+    signal.signal(signal.SIGTERM, lambda number, frame: process.send_signal(number))
     while True:
         try:
             return process.wait()

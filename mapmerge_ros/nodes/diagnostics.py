@@ -11,7 +11,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
-from mapmerge_ros.fusion import Fusion, MapAlignment, State
+from mapmerge_ros.fusion import Fusion, Kind, MapAlignment, State
 from mapmerge_ros.nodes.ledger import Ledger
 
 REFUSAL_WARNS_NS = 10_000_000_000
@@ -152,6 +152,8 @@ def _merge_values(fusion: Fusion) -> dict[str, object]:
         'refused': len(fusion.in_state(State.REFUSED)),
         'landmarks': len(components[0].landmarks.ids) if components else 0,
         'contradictions': len(fusion.contradictions),
+        'moved': sum(change.kind is Kind.MOVED for change in fusion.changes),
+        'doubtful': sum(change.kind is Kind.DOUBTFUL for change in fusion.changes),
         'accepted': verdict.accepted,
         'a_tilde': f'{verdict.a_tilde:.6g}',
         'dof': verdict.dof,

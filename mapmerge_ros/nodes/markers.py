@@ -15,7 +15,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from mapmerge_ros.arrays import Floats
-from mapmerge_ros.fusion import Fusion, MapAlignment, State
+from mapmerge_ros.fusion import Fusion, Kind, MapAlignment, State
 from mapmerge_ros.io.palette import SHARED, Rgb
 from mapmerge_ros.nodes.cloud import robot_colours
 from mapmerge_ros.nodes.frames import quaternion
@@ -26,6 +26,8 @@ TEXT_RATIO, FRAME_RATIO, LINK_RATIO = 0.03, 0.015, 0.004
 
 STANDARD_DEVIATIONS = 2.0
 """Half axis of an ellipsoid: about three quarters of the truth lie inside in space."""
+
+CHANGE_COLOURS: dict[Kind, Rgb] = {Kind.MOVED: (220, 30, 30), Kind.DOUBTFUL: (240, 180, 60)}
 
 LARGEST_RATIO = 0.25
 """Largest half axis drawn, of the extent of the map: a point near infinity must not hide it."""
@@ -60,6 +62,7 @@ class Drawing:
                 at = item.S_global_map.translation
                 yield self._ellipsoid('frame_std', k, at, covariance, colour, extent)
         yield from self._landmarks(extent)
+        yield from self._changes(extent)
 
     def _extent(self) -> float:
         """Mean distance of the landmarks from their middle, global units."""
@@ -113,6 +116,16 @@ class Drawing:
             covariance = np.diag(landmarks.std[row] ** 2)
             at = landmarks.points_global[row]
             yield self._ellipsoid('landmark_std', k, at, covariance, SHARED, extent)
+
+    def _changes(self, extent: float) -> Iterator[Any]:
+        """Arrows from where the others have a landmark to where one sub-map has it."""
+        for k, change in enumerate(self.fusion.changes):
+            marker = self._marker('changes', k, Marker.ARROW, CHANGE_COLOURS[change.kind], 1.0)
+            tip = change.position_global
+            marker.points = [_point(tip - change.displacement_global), _point(tip)]
+            width = LINK_RATIO * extent
+            marker.scale = Vector3(x=width, y=3.0 * width, z=0.0)
+            yield marker
 
     def _ellipsoid(
         self,

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -45,7 +46,7 @@ class RecordNode(Node):  # type: ignore[misc]
             raise InvalidValue(f'output: {output!r}: give a name that ends in .mcap')
         self._pattern = re.compile(pattern)
         self._subscribed: dict[str, tuple[Any, Quality]] = {}
-        self._count = 0
+        self._counts: Counter[str] = Counter()
         self._stack = ExitStack()
         self._recorder = self._stack.enter_context(record(output))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -55,7 +56,7 @@ class RecordNode(Node):  # type: ignore[misc]
     def close(self) -> None:
         """Write the index; only now the file is there."""
         self._stack.close()
-        print(f'{self._count} messages of {len(self._subscribed)} topics recorded')
+        print(f'{self._counts.total()} messages of {len(self._counts)} topics recorded')
 
     def _on_poll(self) -> None:
         for topic, types in self.get_topic_names_and_types():
@@ -80,15 +81,15 @@ class RecordNode(Node):  # type: ignore[misc]
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=lambda _: None),
         )
         self._subscribed[topic] = subscription, quality
-        if old is None:
-            self.get_logger().info(f'recording {topic}')
-        else:
+        if old is not None:
             self.destroy_subscription(old[0])
 
     def _on_message(self, topic: str, typename: str, raw: bytes) -> None:
         now_ns = max(int(self.get_clock().now().nanoseconds), 0)
         self._recorder.write_bytes(topic, now_ns, typename, raw)
-        self._count += 1
+        self._counts[topic] += 1
+        if self._counts[topic] == 1:
+            self.get_logger().info(f'recording {topic}')
 
 
 def main(args: Sequence[str] | None = None) -> int:
