@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from mapmerge_ros.arrays import Floats
+from mapmerge_ros.arrays import Floats, Mask
 from mapmerge_ros.errors import DegenerateGeometry
 
 UNDETERMINED = 'the information has too small a rank: a landmark is not determined'
@@ -27,19 +27,21 @@ def packed_size(rows: int, columns: int) -> int:
 
 def pack(trapezoid: Floats) -> Floats:
     """Upper trapezoid (rows, columns) to its packed form."""
-    return trapezoid[np.triu_indices(*_bounds(trapezoid.shape))]
+    return trapezoid[_upper(*trapezoid.shape)]
 
 
-def unpack(packed: Floats, columns: int, rows: int) -> Floats:
-    """Packed form to the upper trapezoid (rows, columns), float64."""
-    trapezoid = np.zeros((rows, columns))
-    trapezoid[np.triu_indices(*_bounds((rows, columns)))] = packed
+def unpack(
+    packed: Floats, columns: int, rows: int, dtype: type[np.floating[Any]] = np.float64
+) -> Floats:
+    """Packed form to the upper trapezoid (rows, columns)."""
+    trapezoid = np.zeros((rows, columns), dtype)
+    trapezoid[_upper(rows, columns)] = packed
     return trapezoid
 
 
-def _bounds(shape: tuple[int, ...]) -> tuple[int, int, int]:
-    rows, columns = shape
-    return rows, 0, columns
+def _upper(rows: int, columns: int) -> Mask:
+    # A mask is read in C order, which is that of the packed form, ten times faster than indices.
+    return np.asarray(np.arange(columns) >= np.arange(rows)[:, None])
 
 
 def upper_qr(matrix: Floats) -> Floats:
@@ -65,8 +67,8 @@ def alignment_weights(r: Floats) -> Floats:
     R'R. With these weights the merge stays as quadratic as its sub-maps are; equal weights let
     badly determined landmarks turn the frame (5-12 % of the cost on Ladybug).
     """
-    columns = r.reshape(len(r), -1, 3)
-    blocks = np.einsum('kmi,kmj->mij', columns, columns)
+    columns = np.ascontiguousarray(r.astype(np.float64).T).reshape(-1, 3, len(r))
+    blocks = columns @ columns.transpose(0, 2, 1)
     xx, yy, zz = blocks[:, 0, 0], blocks[:, 1, 1], blocks[:, 2, 2]
     xy, xz, yz = blocks[:, 0, 1], blocks[:, 0, 2], blocks[:, 1, 2]
     minors = (xx * yy - xy**2) + (xx * zz - xz**2) + (yy * zz - yz**2)
