@@ -15,7 +15,9 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from association_gold import gold
 from association_growth import growth
+from association_links import links
 from association_negatives import no_false_join
 from association_pairs import load_sets, pairs
 from threadpoolctl import threadpool_limits
@@ -23,6 +25,7 @@ from threadpoolctl import threadpool_limits
 from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.submap import SubMap
 
+PARTS = ('pairs', 'links', 'no false join', 'gold', 'growth')
 Sets = dict[str, list[SubMap]]
 
 
@@ -31,7 +34,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('data', type=Path, help='folder with one folder per data set')
     parser.add_argument('--markdown', type=Path, help='document whose tables are replaced')
-    parser.add_argument('--only', choices=('pairs', 'no false join', 'growth'))
+    parser.add_argument('--only', choices=PARTS)
     args = parser.parse_args(argv)
     sets = load_sets(args.data)
     if not sets:
@@ -39,7 +42,9 @@ def main(argv: list[str] | None = None) -> int:
         return 1
     parts: dict[str, Callable[[], str]] = {
         'pairs': lambda: pairs(sets, args.data),
+        'links': lambda: links(sets, args.data),
         'no false join': lambda: no_false_join(sets),
+        'gold': lambda: gold(sets, args.data),
         'growth': growth,
     }
     try:

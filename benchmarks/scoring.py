@@ -51,7 +51,7 @@ class Scorer:
         self._gold = gold
         points = table['points']
         self.radius = float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
-        self._near = NEAR_RATIO.get(folder.name, 0.001) * self.radius
+        self.near = NEAR_RATIO.get(folder.name, 0.001) * self.radius
         frames = [np.flatnonzero(table['session_of_image'] == k) for k in range(len(self.bundles))]
         self._cameras = [
             own[np.asarray(bundle.keyframe_ids, np.int64) - 1]
@@ -81,6 +81,10 @@ class Scorer:
         found = sum(int(self._same_id(x).sum()) for x in links)
         return Score(len(by_id), float(by_id.mean()), float(min(corrected, 1.0)), found / all_true)
 
+    def gold_points(self, session: int, rows: np.ndarray) -> np.ndarray:
+        """Where the gold bundle has landmarks (rows of the bundle) of a session, (n, 3)."""
+        return np.asarray(self._points[session][rows])
+
     def true_links(self, a: int, b: int) -> Links:
         """Links that ids give."""
         ids_a, ids_b = self.bundles[a].point_ids, self.bundles[b].point_ids
@@ -93,7 +97,7 @@ class Scorer:
         distance = np.linalg.norm(
             self._points[links.a][links.rows_a] - self._points[links.b][links.rows_b], axis=1
         )
-        return np.asarray(self._same_id(links) | (distance < self._near))
+        return np.asarray(self._same_id(links) | (distance < self.near))
 
     def false_neighbours(self, links: Links) -> Links:
         """For each link the landmark of b that is nearest to the right one, but is another."""

@@ -44,7 +44,8 @@ from mapmerge_ros.submap import SubMap
 from scenes import random_bundle  # isort: skip
 
 SUMMARY_KEYS = {
-    'sub_maps', 'test', 'changes', 'components', 'pairs', 'timing_s', 'bytes_in', 'bytes_out',
+    'sub_maps', 'test', 'changes', 'components', 'pairs', 'matches', 'timing_s',
+    'bytes_in', 'bytes_out',
 }  # fmt: skip
 SUB_MAP_KEYS = {
     'map_id', 'robot_id', 'revision', 'landmarks', 'bytes', 'sigma', 'state', 'reason',
@@ -186,9 +187,7 @@ def test_colours_tell_sub_maps_apart() -> None:
 
 
 def test_mcap_is_read_by_others(fusion: Fusion) -> None:
-    reader = make_reader(
-        io.BytesIO(global_map_mcap(fusion)), decoder_factories=[DecoderFactory()]
-    )
+    reader = make_reader(io.BytesIO(global_map_mcap(fusion)), decoder_factories=[DecoderFactory()])
     (message,) = list(reader.iter_decoded_messages())
     assert message.channel.topic == '/fusion_node/global_map'
     assert message.decoded_message.map_id == 'fusion/global'
@@ -348,8 +347,13 @@ def test_comparison_is_that_of_shared_unmoved_landmarks(fusion: Fusion) -> None:
     assert found.median_error < 1e-6
     assert found.rmse == pytest.approx(5.0 * np.sqrt(3 / found.count), rel=1e-3)
     with pytest.raises(DegenerateGeometry, match='only 0 merged landmarks'):
-        compare_with_truth(fusion, replace(truth_of(fusion), landmark_ids=np.arange(len(
-            fusion.components[0].landmarks.ids)) + 10**6))
+        compare_with_truth(
+            fusion,
+            replace(
+                truth_of(fusion),
+                landmark_ids=np.arange(len(fusion.components[0].landmarks.ids)) + 10**6,
+            ),
+        )
 
 
 def test_matched_points_are_those_that_others_have() -> None:

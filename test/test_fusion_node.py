@@ -290,11 +290,11 @@ class Gate:
         self.opened = threading.Event()
         self.calls = 0
 
-    def __call__(self, snapshot: Snapshot, config: FusionConfig) -> Fusion:
+    def __call__(self, snapshot: Snapshot, config: FusionConfig, memory: Any) -> Fusion:
         self.calls += 1
         self.entered.set()
         assert self.opened.wait(30)
-        return fuse(snapshot, config)
+        return fuse(snapshot, config, memory)
 
 
 def test_messages_are_received_during_a_merge(
@@ -308,10 +308,12 @@ def test_messages_are_received_during_a_merge(
     spin_until(nodes, gate.entered.is_set, 'the merge begins')
     for submap in submaps[1:]:
         observer.send('/submaps', submap)
-    spin_until(nodes, lambda: node.ledger.received == len(submaps), 'messages during the merge')
+    spin_until(
+        nodes, lambda: node.session.ledger.received == len(submaps), 'messages during the merge'
+    )
     spin_for(nodes, 0.3)
     assert gate.calls == 1
-    assert node.fusion is None
+    assert node.session.fusion is None
     gate.opened.set()
     spin_until(
         nodes,
@@ -330,12 +332,12 @@ def test_a_failing_merge_is_seen_and_the_last_good_map_stays(
     service = merge_now_service()
     for submap in submaps[:2]:
         observer.send('/submaps', submap)
-    spin_until(nodes, lambda: node.ledger.received == 2, 'two maps')
+    spin_until(nodes, lambda: node.session.ledger.received == 2, 'two maps')
     assert observer.call(service, 'merge_now', nodes).result == 0
     spin_until(nodes, lambda: observer.heard.is_complete, 'the good map')
     first = observer.heard.status.revision
 
-    def fail(snapshot: Snapshot, config: FusionConfig) -> Fusion:
+    def fail(snapshot: Snapshot, config: FusionConfig, memory: Any) -> Fusion:
         raise ZeroDivisionError('a bug')
 
     with monkeypatch.context() as patch:
@@ -355,7 +357,7 @@ def test_a_failing_merge_is_seen_and_the_last_good_map_stays(
 
 def test_a_huge_message_is_refused(nodes: list[Any]) -> None:
     node, observer = nodes
-    node._on_submap(bytes(MAX_MESSAGE_BYTES + 1))
+    node.session.receive('/submaps', bytes(MAX_MESSAGE_BYTES + 1))
     spin_until(nodes, lambda: observer.node_values.get('messages_refused') == '1', 'it is counted')
     assert '128 MiB' in observer.node_values['last_refusal']
 
@@ -372,7 +374,7 @@ def test_maps_can_be_removed_and_all_forgotten(
     assert answer.result == service.Response.RESULT_NOTHING_TO_MERGE
     for submap in submaps:
         observer.send('/submaps', submap)
-    spin_until(nodes, lambda: len(node.ledger.maps) == len(submaps), 'all maps')
+    spin_until(nodes, lambda: len(node.session.ledger.maps) == len(submaps), 'all maps')
 
     def remove(**names: str) -> tuple[int, int]:
         response = observer.call(RemoveMap, 'remove', nodes, **names)
@@ -392,7 +394,7 @@ def test_maps_can_be_removed_and_all_forgotten(
     answer = observer.call(service, 'merge_now', nodes)
     assert answer.result == service.Response.RESULT_NOTHING_TO_MERGE
     observer.send('/submaps', first)
-    spin_until(nodes, lambda: set(node.ledger.maps) == {first.map_id}, 'it may come again')
+    spin_until(nodes, lambda: set(node.session.ledger.maps) == {first.map_id}, 'it may come again')
 
 
 def test_publishers_of_every_quality_are_heard(
@@ -406,8 +408,8 @@ def test_publishers_of_every_quality_are_heard(
         spin_until(nodes, lambda topic=topic: observer.heard_by(topic), f'{topic} found')
         changed = replace(submaps[1], map_id=f'map{k}')
         observer.send(topic, changed, reliable=reliable, latched=latched)
-        spin_until(nodes, lambda k=k: f'map{k}' in node.ledger.maps, kinds[k])
-    assert node.topics.incompatible == ()
+        spin_until(nodes, lambda k=k: f'map{k}' in node.session.ledger.maps, kinds[k])
+    assert node.session.topics.incompatible == ()
 
 
 def test_a_volatile_robot_may_join_a_topic_of_latched_ones(
@@ -415,11 +417,11 @@ def test_a_volatile_robot_may_join_a_topic_of_latched_ones(
 ) -> None:
     node, observer = nodes
     observer.send('/submaps', submaps[0])
-    spin_until(nodes, lambda: len(node.ledger.maps) == 1, 'the latched one')
+    spin_until(nodes, lambda: len(node.session.ledger.maps) == 1, 'the latched one')
     observer.send('/submaps', submaps[1], latched=False)
     spin_until(nodes, lambda: observer.heard_by('/submaps') == 2, 'both connected')
     observer.send('/submaps', submaps[2], latched=False)
-    spin_until(nodes, lambda: submaps[2].map_id in node.ledger.maps, 'the volatile one')
+    spin_until(nodes, lambda: submaps[2].map_id in node.session.ledger.maps, 'the volatile one')
 
 
 def test_what_cannot_be_heard_is_named(
@@ -431,13 +433,13 @@ def test_what_cannot_be_heard_is_named(
     nodes = [node, observer]
     observer.send('/drone/submap', submaps[0], latched=False)
     observer.create_publisher(String, '/other/submap', 1)
-    spin_until(nodes, lambda: node.topics.incompatible, 'the volatile publisher is found')
+    spin_until(nodes, lambda: node.session.topics.incompatible, 'the volatile publisher is found')
     spin_until(
         nodes,
         lambda: observer.node_values.get('incompatible_publishers'),
         'it is in the diagnostics',
     )
-    assert node.topics.incompatible == (
+    assert node.session.topics.incompatible == (
         '/observer offers volatile instead of transient_local on /drone/submap',
     )
     assert '/other/submap: of type std_msgs/msg/String' in capfd.readouterr().err
@@ -454,9 +456,9 @@ def test_the_merge_follows_the_clock_of_the_node(
     node = fusion_node(use_sim_time=True, merge_period=5.0)
     nodes = [node, observer]
     observer.send('/submaps', submaps[0])
-    spin_until(nodes, lambda: node.ledger.received == 1, 'a map')
+    spin_until(nodes, lambda: node.session.ledger.received == 1, 'a map')
     spin_for(nodes, 0.3)
-    assert node.fusion is None
+    assert node.session.fusion is None
     message = Clock()
 
     def tick() -> None:
@@ -464,7 +466,7 @@ def test_the_merge_follows_the_clock_of_the_node(
         clock.publish(message)
 
     observer.create_timer(0.02, tick)
-    spin_until(nodes, lambda: node.fusion is not None, 'a merge in the time of the clock')
+    spin_until(nodes, lambda: node.session.fusion is not None, 'a merge in the time of the clock')
     spin_until(nodes, lambda: observer.heard.status is not None, 'its status')
     assert 5 <= observer.heard.status.header.stamp.sec <= message.clock.sec
     node.close()
@@ -508,4 +510,4 @@ def test_every_field_of_the_engine_is_a_parameter() -> None:
     for setting in (*parameters.NODE_SETTINGS, *parameters.CONFIG_SETTINGS):
         assert setting.description.endswith('.')
         if isinstance(setting.default, (int, float)) and not isinstance(setting.default, bool):
-            assert setting.low < setting.default < setting.high
+            assert setting.low <= setting.default < setting.high

@@ -29,6 +29,14 @@ ROS = {
     'geometry_msgs',
     'diagnostic_msgs',
     'rosidl_runtime_py',
+    'lifecycle_msgs',
+    'nav_msgs',
+    'rcl_interfaces',
+    'rosgraph_msgs',
+    'sensor_msgs',
+    'std_srvs',
+    'tf2_msgs',
+    'visualization_msgs',
 }
 
 

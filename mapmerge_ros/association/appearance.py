@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Ints, Mask
-from mapmerge_ros.association.landmarks import Landmarks
+from mapmerge_ros.arrays import Bytes, Floats, Ints, Mask
 from mapmerge_ros.submap import Descriptors, DescriptorType
 
+BLOCK = 4096
+"""Pairs of descriptors that are compared at once: they stay in the cache."""
 LARGEST_LOG_RATIO = 12.0
 """Of what a descriptor alone may say: the tails of a distribution learnt from few links lie."""
 
@@ -30,14 +31,22 @@ def distances(a: Descriptors, b: Descriptors, of_a: Ints, of_b: Ints) -> Floats:
     """Distance (n,) of pairs of descriptors: bits that differ, or Euclidean; nan without one."""
     if not comparable(a, b):
         return np.full(len(of_a), np.nan)
-    rows_a, rows_b = a.rows[of_a], b.rows[of_b]
-    if a.type is DescriptorType.BINARY:
-        found: Floats = np.bitwise_count(rows_a ^ rows_b).sum(axis=1).astype(np.float64)
-    else:
-        gaps = rows_a.astype(np.float32) - rows_b
-        found = np.sqrt(np.einsum('nd,nd->n', gaps, gaps)).astype(np.float64)
+    measure = _hamming if a.type is DescriptorType.BINARY else _euclidean
+    found = np.empty(len(of_a))
+    for start in range(0, len(found), BLOCK):
+        block = slice(start, start + BLOCK)
+        found[block] = measure(a.rows[of_a[block]], b.rows[of_b[block]])
     found[~(described(a)[of_a] & described(b)[of_b])] = np.nan
     return found
+
+
+def _hamming(a: Bytes, b: Bytes) -> Floats:
+    return np.asarray(np.bitwise_count(a ^ b).sum(axis=1), np.float64)
+
+
+def _euclidean(a: Bytes, b: Bytes) -> Floats:
+    gaps = a.astype(np.float32) - b  # integers below 2^24 in all sums: exact
+    return np.asarray(np.sqrt(np.einsum('nd,nd->n', gaps, gaps), dtype=np.float64))
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,18 +59,8 @@ class Appearance:
     wrong_std: float
 
     @classmethod
-    def learnt(
-        cls,
-        a: Landmarks,
-        b: Landmarks,
-        of_a: Ints,
-        of_b: Ints,
-        near_a: Ints,
-        near_b: Ints,
-    ) -> Appearance:
-        """From links (`of_a`, `of_b`) and from neighbours, nearly all of which are wrong."""
-        right = distances(a.descriptors, b.descriptors, of_a, of_b)
-        wrong = distances(a.descriptors, b.descriptors, near_a, near_b)
+    def learnt(cls, right: Floats, wrong: Floats) -> Appearance:
+        """From distances of links and of neighbours, nearly all of which are wrong; nan: none."""
         right, wrong = right[~np.isnan(right)], wrong[~np.isnan(wrong)]
         if len(right) < 3 or len(wrong) < 3:
             return cls(0.0, 1.0, 0.0, 1.0)

@@ -69,13 +69,19 @@ def second_look(a: Landmarks, b: Landmarks, links: Links, rounds: int = 3) -> Li
     What follows from them changes how the maps fit, but not how alike partners look: the further
     one searches the more false ones come in, and they would teach that anything may pass.
     """
-    first = links
+    right = distances(a.descriptors, b.descriptors, links.of_a, links.of_b)
+    tree_a = scipy.spatial.KDTree(a.points)
     for _ in range(rounds):
         b = _realigned(a, b, links)
         bending = Bending.between(a, b, links)
-        near_a, near_b = _candidates(a, b, bending)
-        appearance = Appearance.learnt(a, b, first.of_a, first.of_b, near_a, near_b)
-        found = _weigh(a, b, bending, appearance, near_a, near_b)
+        moved = b.points + bending.field(b.points)
+        near_a, near_b = _candidates(tree_a, moved)
+        wrong = distances(a.descriptors, b.descriptors, near_a, near_b)
+        alike = Appearance.learnt(right, wrong).log_ratio(wrong)
+        gaps = a.points[near_a] - moved[near_b]
+        covariances = a.covariances[near_a] + b.covariances[near_b]
+        chi2 = mahalanobis(gaps, covariances, bending.variance)
+        found = _weigh(near_a, near_b, chi2, alike, (len(a), len(b)))
         links = found.best(len(a), len(b))
     return found
 
@@ -138,59 +144,59 @@ def unexplained_variance(displacements: Floats, covariances: Floats) -> float:
     low, high = 0.0, float(np.median(squares)) + np.finfo(float).tiny
     for _ in range(40):
         middle = 0.5 * (low + high)
-        chi2 = mahalanobis(displacements, covariances + middle * np.eye(3))
+        chi2 = mahalanobis(displacements, covariances, middle)
         low, high = (middle, high) if np.median(chi2) > MEDIAN_CHI2_3 else (low, middle)
     return high
 
 
-def mahalanobis(displacements: Floats, covariances: Floats) -> Floats:
-    """Squared distances (n,) in standard deviations."""
-    floor = 1e-12 * np.trace(covariances, axis1=1, axis2=2)[:, None, None] + 1e-300
-    solved = np.linalg.solve(covariances + floor * np.eye(3), displacements[:, :, None])
-    return np.asarray(np.einsum('ni,ni->n', displacements, solved[:, :, 0]))
+def mahalanobis(displacements: Floats, covariances: Floats, variance: float = 0.0) -> Floats:
+    """
+    Squared distances (n,) in standard deviations; `variance` is added to every coordinate.
+
+    By the Cholesky factors without roots, all at once: six times as fast as `np.linalg.solve`.
+    """
+    x, y, z = displacements.T
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = covariances.transpose(1, 2, 0)
+    more = variance + 1e-12 * (xx + yy + zz + 3.0 * variance) + 1e-300
+    xx, yy, zz = xx + more, yy + more, zz + more
+    y_x, z_x = xy / xx, xz / xx
+    yy, yz, y = yy - y_x * xy, yz - y_x * xz, y - y_x * x
+    z_y = yz / yy
+    zz, z = zz - z_x * xz - z_y * yz, z - z_x * x - z_y * y
+    return np.asarray(x**2 / xx + y**2 / yy + z**2 / zz)
 
 
-def _candidates(a: Landmarks, b: Landmarks, bending: Bending) -> tuple[Ints, Ints]:
+def _candidates(tree_a: scipy.spatial.KDTree, moved: Floats) -> tuple[Ints, Ints]:
     """Pairs of landmarks that are neighbours of each other, seen from either map."""
-    moved = b.points + bending.field(b.points)
-    forward = _neighbours(a.points, moved)
-    backward = _neighbours(moved, a.points)
-    keys = np.concatenate([forward[0] * len(b) + forward[1], backward[1] * len(b) + backward[0]])
-    keys = np.unique(keys)
-    return keys // len(b), keys % len(b)
+    tree_b = scipy.spatial.KDTree(moved)
+    forward = _neighbours(tree_a.data, tree_b)
+    backward = _neighbours(moved, tree_a)
+    keys = np.concatenate(
+        [forward[0] * len(moved) + forward[1], backward[1] * len(moved) + backward[0]]
+    )
+    keys.sort()
+    keys = keys[np.diff(keys, prepend=-1) > 0]
+    near_a, near_b = np.divmod(keys, len(moved))
+    return near_a, near_b
 
 
-def _neighbours(points: Floats, others: Floats) -> tuple[Ints, Ints]:
-    count = min(NEIGHBOURS, len(others))
-    _, nearest = scipy.spatial.KDTree(others).query(points, k=count)
+def _neighbours(points: Floats, others: scipy.spatial.KDTree) -> tuple[Ints, Ints]:
+    count = min(NEIGHBOURS, others.n)
+    _, nearest = others.query(points, k=count)
     return np.repeat(np.arange(len(points)), count), np.asarray(nearest, np.int64).ravel()
 
 
-def _weigh(
-    a: Landmarks,
-    b: Landmarks,
-    bending: Bending,
-    appearance: Appearance,
-    of_a: Ints,
-    of_b: Ints,
-) -> Links:
-    gaps = a.points[of_a] - b.points[of_b] - bending.field(b.points)[of_b]
-    covariances = a.covariances[of_a] + b.covariances[of_b] + bending.variance * np.eye(3)
-    chi2 = mahalanobis(gaps, covariances)
+def _weigh(of_a: Ints, of_b: Ints, chi2: Floats, alike: Floats, counts: tuple[int, int]) -> Links:
+    """Posteriors of pairs that are near enough; `counts` are the landmarks of both maps."""
     near = chi2 < GATE**2
-    of_a, of_b, chi2 = of_a[near], of_b[near], chi2[near]
+    of_a, of_b, chi2, alike = of_a[near], of_b[near], chi2[near], alike[near]
     close = chi2 < CROWD**2
     crowd = np.maximum(
-        np.bincount(of_a[close], minlength=len(a))[of_a],
-        np.bincount(of_b[close], minlength=len(b))[of_b],
+        np.bincount(of_a[close], minlength=counts[0])[of_a],
+        np.bincount(of_b[close], minlength=counts[1])[of_b],
     ).clip(1)
-    log_ratio = (
-        log_student(chi2)
-        + np.log(4.0 / 3.0 * np.pi * CROWD**3 / crowd)
-        + appearance.log_ratio(distances(a.descriptors, b.descriptors, of_a, of_b))
-    )
-    posterior = _posteriors(of_a, of_b, log_ratio, len(a), len(b))
-    return Links(of_a, of_b, posterior)
+    log_ratio = log_student(chi2) + np.log(4.0 / 3.0 * np.pi * CROWD**3 / crowd) + alike
+    return Links(of_a, of_b, _posteriors(of_a, of_b, log_ratio, *counts))
 
 
 def log_student(chi2: Floats) -> Floats:
@@ -206,13 +212,13 @@ def log_student(chi2: Floats) -> Floats:
 def _posteriors(of_a: Ints, of_b: Ints, log_ratio: Floats, count_a: int, count_b: int) -> Floats:
     """Probability of each pair against all other partners of its landmarks, and none."""
     ratio = np.exp(np.minimum(log_ratio, 50.0))
+    looked_at = min(np.count_nonzero(np.bincount(of_a)), np.count_nonzero(np.bincount(of_b)))
     share = 0.5
     for _ in range(10):
         odds = share / (1.0 - share) * ratio
         total_a = np.bincount(of_a, odds, count_a)[of_a]
         total_b = np.bincount(of_b, odds, count_b)[of_b]
         posterior: Floats = odds / (1.0 + np.maximum(total_a, total_b))
-        looked_at = min(len(np.unique(of_a)), len(np.unique(of_b)))
         share = float(np.clip(posterior.sum() / max(looked_at, 1), 0.05, 0.95))
     return posterior
 

@@ -52,6 +52,11 @@ def sigma(submap: SubMap) -> str:
     return f'{value:.3g}' if submap.sigma else f'~{value:.3g}'
 
 
+def compressed(submap: SubMap) -> str:
+    """Return the number of compressed landmarks for a table."""
+    return str(submap.compressed_count) if submap.compressed_count else 'announced'
+
+
 def warn(text: str) -> None:
     """One line to stderr; the work goes on."""
     print(f'mapmerge: warning: {text}', file=sys.stderr)

@@ -15,10 +15,16 @@ from mapmerge_ros.cli.playback import Playback, play
 from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
 from mapmerge_ros.fusion import Fusion, FusionConfig, State
 from mapmerge_ros.io.exports import global_map_mcap, global_map_ply, landmarks_csv, write_files
+from mapmerge_ros.io.match_rows import tally
 from mapmerge_ros.io.report import report_html
 from mapmerge_ros.io.summary import Traffic, summarise, summary_json
 from mapmerge_ros.io.truth import TruthComparison, compare_with_truth, load_truth, truth_path
-from mapmerge_ros.io.wording import against_truth, readable_bytes, verdict_sentences
+from mapmerge_ros.io.wording import (
+    against_truth,
+    left_out,
+    readable_bytes,
+    verdict_sentences,
+)
 
 NANOSECONDS = 1_000_000_000
 DEFAULTS = FusionConfig()
@@ -160,6 +166,7 @@ def _config(args: argparse.Namespace) -> FusionConfig:
             min_shared=args.min_shared,
             significance=args.significance,
             max_landmarks=args.max_landmarks,
+            ask=False,
         )
     except InvalidValue as err:
         field, _, reason = str(err).partition(':')
@@ -190,7 +197,7 @@ def _show(
     fusion: Fusion, playback: Playback, truth: TruthComparison | None, files: Sequence[Path]
 ) -> None:
     shown = console.table(
-        'sub-map', '#revision', '#compressed', '#σ px', '#scale', 'state', 'why', '#bytes'
+        'sub-map', '#revision', '#compressed', '#σ px', '#scale', 'state', '#bytes'
     )
     sizes = {row['map_id']: row['bytes'] for row in summarise(fusion)['sub_maps']}
     for item in fusion.alignments:
@@ -198,17 +205,21 @@ def _show(
         shown.add_row(
             item.submap.map_id,
             str(item.submap.revision),
-            str(item.submap.compressed_count),
+            console.compressed(item.submap),
             console.sigma(item.submap),
             f'{item.S_global_map.scale:.4g}' if has_frame else '–',
             item.state.name.lower(),
-            item.reason,
             readable_bytes(sizes[item.submap.map_id]),
         )
     screen = console.stdout()
     screen.print(shown)
+    for item in left_out(fusion):
+        reason = f'{item.submap.map_id} {item.state.name.lower()}: {item.reason}'
+        screen.print(reason, soft_wrap=True)
     for refused in playback.traffic.refused:
         screen.print(f'not taken in: {refused.name}: {refused.reason}', soft_wrap=True)
+    if fusion.matches:
+        screen.print(tally(fusion.matches), soft_wrap=True)
     screen.print(verdict_sentences(fusion), soft_wrap=True)
     if truth:
         screen.print(against_truth(truth), soft_wrap=True)

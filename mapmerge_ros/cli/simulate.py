@@ -11,9 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
+from mapmerge_ros.arrays import Ids
+from mapmerge_ros.bundle import compress
 from mapmerge_ros.cli import console, options
 from mapmerge_ros.cli.options import Subparsers
 from mapmerge_ros.cli.outputs import check_file, ros_name
+from mapmerge_ros.fusion import FusionConfig
+from mapmerge_ros.fusion.offline import choose_for_bundles
 from mapmerge_ros.io import McapRecorder, NamedBundle, encode_bundle, record, replacing
 from mapmerge_ros.io.truth import RecordingTruth, TrueMap, TrueMove, truth_json, truth_path
 from mapmerge_ros.io.typestore import BUNDLE
@@ -24,7 +28,7 @@ from mapmerge_ros.submap import SubMap
 RECORDING_NS = 20_000_000_000
 """Length of a recording: long enough to watch a map grow, short enough to wait for."""
 
-FLEET, SENSING = FleetConfig(), Sensing()
+FLEET, SENSING, FUSION = FleetConfig(), Sensing(), FusionConfig()
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -38,7 +42,8 @@ def add_parser(subparsers: Subparsers) -> None:
         'beside OUT.mcap; replay then says how far the merged map is from it.',
         '  mapmerge simulate drones.mcap\n'
         '  mapmerge simulate moved.mcap --drones 6 --moved 2 --seed 7\n'
-        '  mapmerge simulate vio.mcap --gauge 4 --sigma 1.0',
+        '  mapmerge simulate vio.mcap --gauge 4 --sigma 1.0\n'
+        '  mapmerge simulate strangers.mcap --ids private --flips 0.1',
     )
     add = parser.add_argument
     add('out', type=Path, metavar='OUT.mcap', help='recording to write')
@@ -68,6 +73,14 @@ def add_parser(subparsers: Subparsers) -> None:
         help='fleet: equal ids are the same landmark (default); private: every drone numbers '
         'its own, matching is by descriptors',
     )
+    add(
+        '--flips',
+        type=options.probability,
+        default=SENSING.flip_ratio,
+        metavar='SHARE',
+        help='of the bits of a descriptor, those that a drone sees wrongly; up to 0.1 is usual '
+        'for ORB (default: %(default)s)',
+    )
     add('--no-descriptors', action='store_true', help='landmarks without descriptors')
     add('--no-catalogue', action='store_true', help='leave out what is not compressed')
     add(
@@ -85,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
         drones=args.drones,
         keyframes=args.keyframes,
         landmarks=args.landmarks,
-        sensing=Sensing(sigma_px=args.sigma, gauge=args.gauge),
+        sensing=Sensing(sigma_px=args.sigma, gauge=args.gauge, flip_ratio=args.flips),
         ids=args.ids,
         descriptors=not args.no_descriptors,
         moved=args.moved,
@@ -109,6 +122,11 @@ def run(args: argparse.Namespace) -> int:
                 _record_bundles(recorder, fleet, submaps)
     moved = f', {counted(args.moved, "object")} moved' if args.moved else ''
     compressed = sum(submap.compressed_count for submap in submaps)
+    if announced := [submap.map_id for submap in submaps if not submap.compressed_count]:
+        console.warn(
+            f'only announced, nothing found in common with others: {", ".join(announced)}; '
+            'mapmerge info says why'
+        )
     screen = console.stdout()
     screen.print(
         f'{counted(len(submaps), "drone")}, {compressed} compressed landmarks, '
@@ -130,9 +148,29 @@ def _record_bundles(recorder: McapRecorder, fleet: Fleet, submaps: Sequence[SubM
 def recorded_submaps(fleet: Fleet, *, catalogue: bool = True) -> tuple[SubMap, ...]:
     """Sub-maps of a fleet, their stamps spread over the length of a recording."""
     step_ns = RECORDING_NS // len(fleet.bundles)
+    work = zip(fleet.bundles, fleet.names, compressed_ids(fleet), strict=True)
     return tuple(
-        replace(submap, stamp_ns=(k + 1) * step_ns)
-        for k, submap in enumerate(fleet.submaps(catalogue=catalogue))
+        replace(compress(bundle, name, ids, catalogue=catalogue), stamp_ns=(k + 1) * step_ns)
+        for k, (bundle, name, ids) in enumerate(work)
+    )
+
+
+def compressed_ids(fleet: Fleet) -> tuple[Ids, ...]:
+    """
+    Points that each drone compresses.
+
+    Those that another one has too where ids tell; with private ids what a fusion node that
+    hears the announcements would ask for, since nobody knows the truth. A drone that nothing
+    can be asked of announces.
+    """
+    if all(name.id_space for name in fleet.names):
+        return tuple(
+            bundle.point_ids[fleet.shared_rows(k)] for k, bundle in enumerate(fleet.bundles)
+        )
+    chosen = choose_for_bundles(fleet.bundles, fleet.names, FUSION.request_landmarks)
+    return tuple(
+        ids if len(ids) >= bundle.gauge.minimal_points else ids[:0]
+        for ids, bundle in zip(chosen, fleet.bundles, strict=True)
     )
 
 

@@ -7,6 +7,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
+
 from mapmerge_ros.fusion.outcome import Refusal
 from mapmerge_ros.submap import SubMap
 
@@ -17,6 +19,8 @@ class Receipt:
 
     accepted: bool
     reason: str = ''
+    restarted: bool = False
+    """Whether its robot counts revisions anew"""
 
 
 class Store:
@@ -27,14 +31,21 @@ class Store:
         self._submaps: dict[str, SubMap] = {}
 
     def add(self, submap: SubMap) -> Receipt:
-        """Take a sub-map in, unless it is our own output or no newer than what is here."""
+        """
+        Take a sub-map in, unless it is our own output or no newer than what is here.
+
+        A robot that was restarted under its name may count revisions from the beginning. What it
+        sends then has newer measurements than anything from its life before, which no late
+        message of an older revision can have.
+        """
         if submap.map_id == self._own_map_id:
             return Receipt(False, f'{submap.map_id} is the map that this fusion publishes')
         known = self._submaps.get(submap.map_id)
-        if known is not None and known.revision >= submap.revision:
+        is_newer = known is None or known.revision < submap.revision
+        if known is not None and not is_newer and not _is_of_next_life(submap, known):
             return Receipt(False, f'revision {submap.revision} is not newer than {known.revision}')
         self._submaps[submap.map_id] = submap
-        return Receipt(True)
+        return Receipt(True, restarted=not is_newer)
 
     def remove(self, map_ids: Iterable[str]) -> int:
         """Forget sub-maps; return how many were known."""
@@ -43,6 +54,14 @@ class Store:
     def snapshot(self) -> tuple[SubMap, ...]:
         """All sub-maps by map_id: the order of arrival leaves no trace."""
         return tuple(self._submaps[map_id] for map_id in sorted(self._submaps))
+
+
+def _is_of_next_life(submap: SubMap, known: SubMap) -> bool:
+    """Whether a revision that is not above the known one was made after it all the same."""
+    if submap.stamp_ns <= known.stamp_ns:
+        return False
+    # Who stamps a repetition anew has not begun again.
+    return submap.revision < known.revision or not np.array_equal(submap.points, known.points)
 
 
 def without_duplicates(

@@ -43,6 +43,14 @@ class Asking:
         self._sent: dict[str, _Sent] = {}
         self._denied: dict[str, Denial] = {}
 
+    def reconfigure(self, config: FusionConfig) -> None:
+        """Wait as long for answers as this says, from now on."""
+        self._period_ns = int(config.request_period * 1e9)
+
+    def restore(self, denied: Mapping[str, Denial]) -> None:
+        """Remember again what robots could not do."""
+        self._denied.update(denied)
+
     @property
     def denied(self) -> Mapping[str, Denial]:
         """By map_id, how far its robot could not do what it was asked for; a copy."""

@@ -27,7 +27,7 @@ from mapmerge_ros.fusion.search import search
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue
 from mapmerge_ros.fusion.valley import as_wide_as_it_is
-from mapmerge_ros.fusion.verify import Noise, degrees_of_freedom, pool_noise, verify
+from mapmerge_ros.fusion.verify import Noise, degrees_of_freedom, pool_noise, verify, verify_merge
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import Source, SubMap, pack
 
@@ -52,9 +52,10 @@ class Anchor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solution:
-    """Every landmark and frame of the component, in the global frame."""
+    """Every landmark and frame of the component, in the global frame; `reduced` as merged."""
 
     elements: tuple[Element, ...]
+    reduced: tuple[Element, ...]
     points: Floats
     placements: tuple[Placement, ...]
     estimate: Estimate
@@ -88,14 +89,17 @@ def merge_component(
             submaps, association, is_shared, links, noise, gauge, dof, anchor, config
         )
     with stopwatch.measure('test'):
-        verdict = verify(solution.estimate.cost, dof, noise, config)
+        verdict, examination = verify_merge(
+            solution.reduced, solution.estimate, links, gauge, dof, noise, config
+        )
     with stopwatch.measure('compress'):
-        return _compress(submaps, association, solution, noise, verdict, anchor, config, revision)
+        part = _compress(submaps, association, solution, noise, verdict, anchor, config, revision)
+    return replace(part, component=replace(part.component, examination=examination))
 
 
 def choose_anchor(submaps: Sequence[SubMap], gauge: Gauge) -> Anchor:
     """Return the oldest sub-map among those whose frame means most."""
-    eligible = [submap for submap in submaps if submap.gauge == gauge]
+    eligible = (submap for submap in submaps if submap.gauge == gauge)
     oldest = min(eligible, key=lambda submap: (submap.stamp_ns, submap.map_id))
     return Anchor(oldest.map_id, Similarity.identity())
 
@@ -136,7 +140,7 @@ def _solve(
     held = [submap.map_id for submap in submaps].index(anchor.map_id)
     points = (anchor.S_global_map @ elements[held].place(points).S_map_global).apply(points)
     placements = tuple(element.place(points) for element in elements)
-    return _Solution(elements, points, placements, estimate)
+    return _Solution(elements, tuple(reduced), points, placements, estimate)
 
 
 def _compress(
@@ -209,11 +213,10 @@ def _landmarks(
     slots = np.cumsum(is_named) - 1
     maps = [submap.map_id for submap in submaps for _ in range(submap.compressed_count)]
     member_ids = np.concatenate([submap.compressed_ids for submap in submaps])
-    variances = np.diag(covariance)
     return Landmarks(
         ids=names.of_tracks(association)[is_named],
         points_global=points[is_named],
-        std=np.sqrt(np.maximum(variances, 0.0)).reshape(-1, 3)[is_named],
+        std=np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, 3)[is_named],
         member_rows=slots[rows[order]],
         member_maps=tuple(maps[int(k)] for k in order),
         member_ids=member_ids[order],

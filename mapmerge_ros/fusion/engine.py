@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from mapmerge_ros.association import Correspondences, Memory, associate
+from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.fusion.accumulate import Receipt, Store, without_duplicates
 from mapmerge_ros.fusion.asking import Asking
 from mapmerge_ros.fusion.associate import Association, of_compressed, split_contradictions
@@ -126,6 +127,8 @@ class FusionEngine:
     def add(self, submap: SubMap) -> Receipt:
         """Take in a sub-map; a refusal says why and changes nothing."""
         receipt = self._store.add(submap)
+        if receipt.restarted:
+            self.asking.forget([submap.map_id])
         if receipt.accepted:
             self.changed = True
             self.asking.hear(submap)
@@ -144,11 +147,48 @@ class FusionEngine:
         self.remove([submap.map_id for submap in self._store.snapshot()])
         self._anchor = None
 
+    def reconfigure(self, config: FusionConfig) -> None:
+        """
+        Fuse with other settings from now on.
+
+        Raises
+        ------
+        InvalidValue
+            Another name of the map: others know it by the one it has.
+
+        """
+        if config.map_id != self.config.map_id:
+            raise InvalidValue(f'map_id: {config.map_id!r} instead of {self.config.map_id!r}')
+        self.config = config
+        self.asking.reconfigure(config)
+        self.changed |= bool(self._store.snapshot())
+
+    def state(self) -> Snapshot:
+        """Everything that an engine needs to go on from here; changes nothing."""
+        return Snapshot(self._store.snapshot(), self._anchor, self._revision, self.asking.denied)
+
+    def restore(self, state: Snapshot) -> tuple[Receipt, ...]:
+        """
+        Take in the sub-maps of a state as if they had just arrived; what came of each.
+
+        An engine that has merged nothing yet takes over the global frame too.
+        """
+        receipts = tuple(self.add(submap) for submap in state.submaps)
+        taken = {
+            submap.map_id
+            for submap, receipt in zip(state.submaps, receipts, strict=True)
+            if receipt.accepted
+        }
+        self.asking.restore({name: x for name, x in state.denied.items() if name in taken})
+        self._anchor = self._anchor or state.anchor
+        self._revision = max(self._revision, state.revision)
+        return receipts
+
     def snapshot(self) -> Snapshot:
         """Everything the next fusion depends on; it may run in another thread."""
         self.changed = False
         self._revision += 1
-        return Snapshot(self._store.snapshot(), self._anchor, self._revision, self.asking.denied)
+        return self.state()
 
     def commit(self, fusion: Fusion) -> None:
         """Remember where the global frame is, so that it does not jump, and whom to ask."""

@@ -12,6 +12,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.association import PairMatch
 from mapmerge_ros.fusion.associate import Association
+from mapmerge_ros.fusion.honest import Examination
 from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import Request, SubMap
@@ -54,8 +55,22 @@ class MapAlignment:
 
 
 @dataclass(frozen=True, slots=True)
+class ErrorModel:
+    """What real maps have besides the noise that they claim, as fitted (docs/statistics.md)."""
+
+    phi: float
+    """Factor on the variances that the sub-maps claim"""
+    tau_ratio: float
+    """Ground floor of every landmark, of the scene radius"""
+    omega_ratio: float
+    """Smooth warp of every sub-map, of the scene radius"""
+    tail_freedom: float
+    """ν of F(3, ν), which single landmarks follow; inf: Gaussian"""
+
+
+@dataclass(frozen=True, slots=True)
 class Verdict:
-    """Test of the merge as a whole (section IV of the paper)."""
+    """Test of the merge as a whole (section IV of the paper, and docs/statistics.md)."""
 
     a_tilde: float
     """ã = ā² - Σ a², px²"""
@@ -65,9 +80,18 @@ class Verdict:
     variance_factor: float
     """ã / (dof σ²): 1 when nothing moved, matches are right and noise is Gaussian"""
     p_value: float
+    """Under `errors` where a model was needed"""
     accepted: bool
     reason: str
     """Empty when accepted"""
+    textbook_p_value: float = 1.0
+    """As if all noise were Gaussian and of the size that the sub-maps claim"""
+    errors: ErrorModel | None = None
+    """None: the textbook's model is that of `p_value`"""
+    set_aside: int = 0
+    """Landmarks too far off to have a say in `errors` and `p_value`"""
+    moved: int = 0
+    """Landmarks that moved together with their neighbours; the merge still holds them equal"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +171,8 @@ class Component:
     """Tracks of its sub-maps, in the order of `map_ids`"""
     names: Names
     """Ids of their landmarks in the merged map"""
+    examination: Examination | None = None
+    """Single landmarks and objects behind the verdict; None: nothing is merged"""
 
 
 @dataclass(frozen=True, slots=True)

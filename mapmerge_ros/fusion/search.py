@@ -71,6 +71,12 @@ def search(
     return replace(best, starts=tried)
 
 
+def is_certain(links: Sequence[Link], count: int) -> bool:
+    """Whether links that determine every rotation well connect all sub-maps: one basin only."""
+    firm = [link for link in links if link.turn and link.turn.std_rad <= WEAK_TURN_RAD]
+    return len(components(count, firm)) == 1
+
+
 def _starts(links: Sequence[Link], count: int) -> Iterator[Sequence[Link]]:
     """Links as they are; without a weak one; with a weak one turned. The weakest first."""
     yield links

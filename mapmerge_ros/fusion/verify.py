@@ -5,14 +5,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.outcome import Verdict
+from mapmerge_ros.fusion.contrasts import scene_radius
+from mapmerge_ros.fusion.element import Element
+from mapmerge_ros.fusion.honest import Examination, examine
+from mapmerge_ros.fusion.merge import Estimate
+from mapmerge_ros.fusion.outcome import ErrorModel, Verdict
+from mapmerge_ros.fusion.overlap import Link
+from mapmerge_ros.fusion.quadratic import Quadratic, quadratic
+from mapmerge_ros.fusion.search import is_certain
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.submap import SubMap
 
@@ -75,7 +82,68 @@ def verify(a_tilde: float, dof: int, noise: Noise, config: FusionConfig) -> Verd
             f'(p {_rounded(p_value)}, below {config.significance:g})'
         )
     )
-    return Verdict(a_tilde, dof, noise.sigma, factor, p_value, accepted, reason)
+    return Verdict(
+        a_tilde, dof, noise.sigma, factor, p_value, accepted, reason, textbook_p_value=p_value
+    )
+
+
+def verify_merge(
+    reduced: Sequence[Element],
+    estimate: Estimate,
+    links: Sequence[Link],
+    gauge: Gauge,
+    dof: int,
+    noise: Noise,
+    config: FusionConfig,
+) -> tuple[Verdict, Examination | None]:
+    """
+    Test a merge, with the errors that maps of real cameras have where the textbook refuses.
+
+    `reduced` are the elements of the shared landmarks, as merged. What the textbook accepts
+    stays accepted, with its own p-value, unless its landmarks are not Gaussian; what moved
+    together is refused as long as it is merged.
+    """
+    textbook = verify(estimate.cost, dof, noise, config)
+    if dof <= 0:
+        return textbook, None
+    certain = estimate.converged and is_certain(links, len(reduced))
+    merge = quadratic(reduced, estimate.points, gauge, noise.sigma)
+    found = examine(merge, noise.estimated_from or np.inf, certain=certain)
+    return _judged(textbook, found, merge, config), found
+
+
+def _judged(
+    textbook: Verdict, found: Examination, merge: Quadratic, config: FusionConfig
+) -> Verdict:
+    model, moved = found.model, sum(len(each.members) for each in found.objects)
+    if textbook.accepted and not moved and (model is None or model.is_textbook):
+        return textbook
+    if model is None:
+        return replace(textbook, moved=moved)
+    p_value = min(found.p_value, found.p_objects)  # as long as they are merged like all else
+    accepted = p_value >= config.significance and not moved
+    radius = scene_radius(merge.points)
+    errors = ErrorModel(model.phi, model.tau / radius, model.omega / radius, model.tails.freedom)
+    return replace(
+        textbook,
+        p_value=p_value,
+        accepted=accepted,
+        reason='' if accepted else _why(textbook, p_value, moved, len(found.aside), errors),
+        errors=errors,
+        set_aside=len(found.aside),
+        moved=moved,
+    )
+
+
+def _why(textbook: Verdict, p_value: float, moved: int, aside: int, errors: ErrorModel) -> str:
+    price = f'the merge costs {textbook.variance_factor:.3g} times what noise of '
+    price += f'{textbook.sigma:.3g} px explains'
+    if moved:
+        return f'{price}: {moved} landmarks moved together with their neighbours'
+    return (
+        f'{price}, and no plausible error of the maps does (p {_rounded(p_value)}; noise × '
+        f'{errors.phi:.2g}, warp {errors.omega_ratio:.2%} of the scene, {aside} landmarks aside)'
+    )
 
 
 def _rounded(p_value: float) -> str:

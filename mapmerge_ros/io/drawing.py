@@ -45,7 +45,7 @@ def top_view(points: MapPoints, gauge: Gauge) -> str:
     rows = np.flatnonzero(inside)
     drawn = rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_POINTS)).astype(int)]
     bar = _scale_bar(scale, height) if gauge <= Gauge.RIGID else ''
-    return _svg(height, 'map seen from above', *_dots(points, pixels, drawn), bar)
+    return svg(height, 'map seen from above', *_dots(points, pixels, drawn), bar)
 
 
 def _flattened(points_global: Floats, gauge: Gauge) -> Floats:
@@ -122,7 +122,7 @@ def density(verdict: Verdict, redundancy: int) -> str:
     curve = 'L'.join(f'{a:.1f} {b:.1f}' for a, b in zip(x, y, strict=True))
     at = 20.0 + (min(found, high) - low) / (high - low) * (right - 20.0)
     middle = 20.0 + (mean - low) / (high - low) * (right - 20.0)
-    return _svg(
+    return svg(
         222.0,
         'expected and found price of merging',
         f'<path d="M20 {base}L{curve}L{right} {base}Z" class="expected"/>',
@@ -144,7 +144,8 @@ def _mark(at: float, found: float, base: float, beyond: bool, accepted: bool) ->
     )
 
 
-def _svg(height: float, title: str, *parts: str) -> str:
+def svg(height: float, title: str, *parts: str) -> str:
+    """Return a drawing as wide as the page; the parts are markup already."""
     return (
         f'<svg viewBox="0 0 {WIDTH:g} {height:.0f}" role="img" aria-label="{title}" '
         f'xmlns="http://www.w3.org/2000/svg">{"".join(parts)}</svg>'

@@ -10,12 +10,9 @@ import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion import Component, Fusion, MapAlignment
-from mapmerge_ros.submap import SubMap
 
 SEVERAL = -1
 """Owner of a point that more than one sub-map has."""
-
-_Key = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,8 +37,9 @@ def map_points(fusion: Fusion) -> MapPoints:
     if not fusion.components:
         return MapPoints((), np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, int), 0)
     component = fusion.components[0]
-    inside = [item for item in fusion.alignments if item.component == 0]
-    slots = _slots(component, inside)
+    alignments = {item.submap.map_id: item for item in fusion.alignments}
+    inside = [alignments[map_id] for map_id in component.map_ids]
+    slots = _slots(component)
     count = max(int(own.max()) for own in slots) + 1
     everywhere = np.concatenate(slots)
     views = np.bincount(everywhere, minlength=count)
@@ -50,7 +48,7 @@ def map_points(fusion: Fusion) -> MapPoints:
         owners[own] = k
     owners[views > 1] = SEVERAL
     return MapPoints(
-        map_ids=tuple(item.submap.map_id for item in inside),
+        map_ids=component.map_ids,
         points_global=_positions(component, inside, everywhere, views),
         owners=owners,
         views=views,
@@ -58,38 +56,18 @@ def map_points(fusion: Fusion) -> MapPoints:
     )
 
 
-def _slots(component: Component, inside: list[MapAlignment]) -> list[Ints]:
-    """Per sub-map the point (n_k,) that each of its landmarks is."""
-    submaps = {item.submap.map_id: item.submap for item in inside}
-    landmarks = component.landmarks
-    known: dict[_Key, int] = {}
-    members = zip(
-        landmarks.member_maps,
-        landmarks.member_ids.tolist(),
-        landmarks.member_rows.tolist(),
-        strict=True,
-    )
-    rows: dict[str, dict[int, int]] = {map_id: {} for map_id in submaps}
-    for map_id, landmark_id, row in members:
-        rows[map_id][landmark_id] = row
-        known.setdefault(_key(submaps[map_id], landmark_id), row)
-    count = len(landmarks.ids)
-    slots = []
-    for item in inside:
-        own = np.zeros(len(item.submap.landmark_ids), np.int64)
-        for k, landmark_id in enumerate(item.submap.landmark_ids.tolist()):
-            row = rows[item.submap.map_id].get(landmark_id)
-            if row is None:
-                row = known.setdefault(_key(item.submap, landmark_id), count)
-                count += row == count
-            own[k] = row
-        slots.append(own)
-    return slots
-
-
-def _key(submap: SubMap, landmark_id: int) -> _Key:
-    """What makes a landmark the same in two sub-maps: a private id is that of one map only."""
-    return (f'space {submap.id_space}' if submap.id_space else f'map {submap.map_id}', landmark_id)
+def _slots(component: Component) -> list[Ints]:
+    """Per sub-map the point (n_k,) that each of its landmarks is: merged landmarks come first."""
+    association = component.association
+    tracks = [
+        np.concatenate([own, others])
+        for own, others in zip(association.tracks, association.catalogues, strict=True)
+    ]
+    used = np.unique(np.concatenate(tracks))
+    is_landmark = used < association.count
+    is_landmark[is_landmark] = ~component.names.nameless[used[is_landmark]]
+    places = np.argsort(np.argsort(~is_landmark, kind='stable'))
+    return [places[np.searchsorted(used, own)] for own in tracks]
 
 
 def _positions(

@@ -63,6 +63,10 @@ class McapRecorder:
         """Make a topic known, whether a message follows or not."""
         self._channel(topic, typename)
 
+    def note(self, name: str, texts: dict[str, str]) -> None:
+        """Append a metadata record, which those who do not know it pass over."""
+        self._writer.add_metadata(name, texts)
+
     def finish(self) -> None:
         """Write the index."""
         self._writer.finish()  # type: ignore[no-untyped-call]

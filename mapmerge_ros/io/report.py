@@ -15,7 +15,9 @@ from mapmerge_ros.fusion import Fusion
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.io.comparison import TruthComparison
 from mapmerge_ros.io.drawing import density, top_view
+from mapmerge_ros.io.drawing_graph import map_graph
 from mapmerge_ros.io.map_points import map_points
+from mapmerge_ros.io.match_rows import inliers_of, log_nfa, tally, why_not, worth_showing
 from mapmerge_ros.io.palette import SHARED, colours, hexadecimal
 from mapmerge_ros.io.wording import (
     against_truth,
@@ -52,6 +54,9 @@ def report_html(
         density=Markup(density(fusion.verdict, _redundancy(fusion))),
         pairs=sorted(fusion.pairs, key=lambda pair: (-pair.shared, pair.a, pair.b))[:MAX_PAIRS],
         matrix=_matrix(fusion),
+        graph=Markup(map_graph(fusion)),
+        tally=tally(fusion.matches),
+        matches=worth_showing(fusion.matches),
         summary=summary,
     )
     return (page + '\n').encode()
@@ -102,5 +107,6 @@ def _template() -> jinja2.Template:
     environment.filters['bytes'] = readable_bytes
     # A zero-width space: a column of numbers need not be as wide as its map_id.
     environment.filters['breakable'] = lambda name: name.replace('/', '/\u200b')
+    environment.filters.update(inliers=inliers_of, log_nfa=log_nfa, why_not=why_not)
     environment.filters['short'] = lambda value: '–' if value is None else f'{value:.4g}'
     return environment.get_template('report.html')

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mapmerge_ros.fusion import Fusion, MapAlignment, Verdict
+from mapmerge_ros.fusion.outcome import Match
 from mapmerge_ros.io.codec import encode_submap
 from mapmerge_ros.submap import SubMap
 
@@ -50,6 +51,7 @@ def summarise(fusion: Fusion, traffic: Traffic | None = None) -> dict[str, Any]:
         'changes': [],
         'components': [list(component.map_ids) for component in fusion.components],
         'pairs': [{'a': x.a, 'b': x.b, 'shared': x.shared} for x in fusion.pairs],
+        'matches': [_match(match) for match in fusion.matches],
         'contradictions': [
             {'landmark': x.landmark_id, 'a': x.a, 'b': x.b} for x in fusion.contradictions
         ],
@@ -108,6 +110,20 @@ def _sub_map(item: MapAlignment) -> dict[str, Any]:
             'rotation': S_global_map.rotation.tolist(),
             'translation': S_global_map.translation.tolist(),
         },
+    }
+
+
+def _match(match: Match) -> dict[str, Any]:
+    evidence = match.found.evidence
+    return {
+        'a': match.a,
+        'b': match.b,
+        'decision': match.found.decision.value,
+        'reason': match.found.reason,
+        'candidates': evidence.candidates,
+        'inliers': evidence.inliers,
+        'log_nfa': evidence.log_nfa,
+        'links': match.links,
     }
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Services of the fusion node."""
+"""Services of the fusion node about its maps."""
 
 from __future__ import annotations
 
@@ -25,13 +25,19 @@ class Answers:
         merges: MergeLoop,
         ledger: Ledger,
         outgoing: Callable[[Fusion | None], Outgoing],
+        is_active: Callable[[], bool],
     ) -> None:
         self._merges = merges
         self._ledger = ledger
         self._outgoing = outgoing
+        self._is_active = is_active
 
     async def merge_now(self, request: Any, response: Any) -> Any:
         """Merge without waiting for the timer; messages are received meanwhile."""
+        if not self._is_active():
+            response.result = MergeNow.Response.RESULT_NOT_ACTIVE
+            response.message = 'the node is not active'
+            return response
         merged: Any = Future()
         self._merges.request(merged.set_result)
         result: Result[Product] = await merged
@@ -55,6 +61,12 @@ class Answers:
         self._merges.reset()
         self._ledger.forget(names)
         response.success, response.message = True, f'{len(names)} sub-maps forgotten'
+        return response
+
+    def pause(self, request: Any, response: Any) -> Any:
+        """Merge no more by itself, or again; messages are received all the same."""
+        self._merges.paused = bool(request.data)
+        response.success, response.message = True, 'paused' if request.data else 'going on'
         return response
 
     def _why_not(self, request: Any) -> tuple[int, str]:

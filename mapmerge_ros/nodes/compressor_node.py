@@ -15,9 +15,9 @@ from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.io import InvalidMessage, decode_request, load_bundles
 from mapmerge_ros.nodes.own_map import Done, Job, OwnMap, Response, work
-from mapmerge_ros.nodes.parameters import Setting, declare
 from mapmerge_ros.nodes.process import run_node
 from mapmerge_ros.nodes.quality import LATCHED_PROFILE, REQUESTS_PROFILE
+from mapmerge_ros.nodes.settings import Setting, declare
 from mapmerge_ros.nodes.worker import Worker
 from mapmerge_ros.submap import Request
 

@@ -38,6 +38,10 @@ class Health:
     """Sub-maps that were asked for landmarks and have not answered"""
     given_up: int = 0
     """Of those, how many are not asked again"""
+    robot_timeout_s: float = 0.0
+    """A robot that has been away for longer is stale; 0 = none ever is"""
+    mode: str = 'active'
+    """active, paused or inactive"""
 
     def message(self, stamp: Any) -> Any:
         """DiagnosticArray: the node first, then each robot."""
@@ -48,6 +52,9 @@ class Health:
         level, text = self._verdict()
         fusion, ledger = self.fusion, self.ledger
         values: dict[str, object] = {
+            'mode': self.mode,
+            'robots': len(ledger.robots),
+            'robots_stale': sum(self._is_stale(name) for name in ledger.robots),
             'sub_maps': len(ledger.maps),
             **({} if fusion is None else _merge_values(fusion)),
             'last_merge_s_ago': self._seconds_since(self.merged_ns),
@@ -74,6 +81,8 @@ class Health:
             warnings.append(f'message refused: {self.ledger.last_refusal}')
         if warnings:
             return DiagnosticStatus.WARN, '; '.join(warnings)
+        if self.mode != 'active':
+            return DiagnosticStatus.OK, self.mode
         if self.fusion is None or not self.fusion.alignments:
             return DiagnosticStatus.OK, 'waiting for sub-maps'
         merged = len(self.fusion.in_state(State.MERGED))
@@ -103,8 +112,11 @@ class Health:
         state = 'received' if worst is None else worst.state.name.lower()
         reason = '' if worst is None else worst.reason
         values = {
+            'topic': record.topic,
             'last_heard_s_ago': f'{record.age_s(self.now_ns):.1f}',
+            'absent_s': f'{record.absent_s(self.now_ns):.1f}',
             'messages': record.messages,
+            'messages_per_s': f'{record.messages_per_s(self.now_ns):.3g}',
             'maps': len(maps),
             'revision': ' '.join(f'{name}:{held.revision}' for name, held in maps.items()),
             'landmarks': sum(held.landmarks for held in maps.values()),
@@ -115,7 +127,15 @@ class Health:
         }
         is_fine = worst is None or worst.state is State.MERGED or len(self._alignments()) == 1
         level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
-        return _status(level, f'{self.name}: robot {robot_id}', reason or state, robot_id, values)
+        text = reason or state
+        if self._is_stale(robot_id):
+            level = DiagnosticStatus.STALE
+            text = f'left {record.absent_s(self.now_ns):.0f} s ago, its maps stay; {text}'
+        return _status(level, f'{self.name}: robot {robot_id}', text, robot_id, values)
+
+    def _is_stale(self, robot_id: str) -> bool:
+        absent_s = self.ledger.robots[robot_id].absent_s(self.now_ns)
+        return 0.0 < self.robot_timeout_s < absent_s
 
     def _alignments(self) -> tuple[MapAlignment, ...]:
         return () if self.fusion is None else self.fusion.alignments
@@ -132,8 +152,14 @@ def _merge_values(fusion: Fusion) -> dict[str, object]:
         'refused': len(fusion.in_state(State.REFUSED)),
         'landmarks': len(components[0].landmarks.ids) if components else 0,
         'contradictions': len(fusion.contradictions),
+        'accepted': verdict.accepted,
+        'a_tilde': f'{verdict.a_tilde:.6g}',
+        'dof': verdict.dof,
         'variance_factor': f'{verdict.variance_factor:.4g}',
         'p_value': f'{verdict.p_value:.4g}',
+        'merge_associate_s': f'{fusion.timing.associate_s:.3f}',
+        'merge_solve_s': f'{fusion.timing.merge_s:.3f}',
+        'merge_test_s': f'{fusion.timing.test_s:.3f}',
         'merge_total_s': f'{fusion.timing.total_s:.3f}',
     }
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from mapmerge_msgs.msg import SubMap
@@ -15,8 +16,8 @@ from mapmerge_ros.io.typestore import SUBMAP
 from mapmerge_ros.nodes.parameters import NodeSettings
 from mapmerge_ros.nodes.quality import Quality, demand
 
-Receive = Callable[[bytes], None]
-"""Takes a serialised message."""
+Receive = Callable[[str, bytes], None]
+"""Takes the topic, and a serialised message."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +44,8 @@ class SubmapTopics:
         self._warned: set[str] = set()
         self.incompatible: tuple[str, ...] = ()
         """Publishers that cannot reach us, and why"""
+        self.served: frozenset[str] = frozenset()
+        """Topics that somebody publishes on"""
         self._subscribe(node.resolve_topic_name('submaps'))
 
     def poll(self) -> None:
@@ -58,8 +61,15 @@ class SubmapTopics:
         self.incompatible = tuple(
             line for topic in tuple(self._subscribed) for line in self._adapt(topic)
         )
+        self.served = frozenset(topic for topic in self._subscribed if self._publishers(topic))
         for line in self.incompatible:
             self._warn(f'{line}: none of its messages arrive')
+
+    def destroy(self) -> None:
+        """End all subscriptions."""
+        for subscribed in self._subscribed.values():
+            self._node.destroy_subscription(subscribed.subscription)
+        self._subscribed.clear()
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -76,7 +86,7 @@ class SubmapTopics:
         subscription = self._node.create_subscription(
             SubMap,
             topic,
-            self._receive,
+            partial(self._receive, topic),
             quality.profile(self._settings.depth),
             raw=True,
             # The default one warns without a name; `poll` does it better.
@@ -92,7 +102,7 @@ class SubmapTopics:
         old = self._subscribed[topic]
         if offers and demand(offers, self._settings) != old.quality:
             self._subscribe(topic)
-            self._drain(old.subscription)
+            self._drain(topic, old.subscription)
             self._node.destroy_subscription(old.subscription)
         quality = self._subscribed[topic].quality
         return [
@@ -101,11 +111,11 @@ class SubmapTopics:
             if (missing := quality.missing_from(offer))
         ]
 
-    def _drain(self, subscription: Any) -> None:
+    def _drain(self, topic: str, subscription: Any) -> None:
         """Read what has arrived before the subscription goes."""
         with subscription.handle:
             while (taken := subscription.handle.take_message(SubMap, True)) is not None:
-                self._receive(taken[0])
+                self._receive(topic, taken[0])
 
     def _publishers(self, topic: str) -> list[Any]:
         found = self._node.get_publishers_info_by_topic(topic)

@@ -25,8 +25,13 @@ class Held:
 class RobotRecord:
     """What one robot has sent."""
 
+    topic: str
+    """Where it was heard last"""
     first_ns: int
     last_ns: int
+    """Of its messages"""
+    seen_ns: int
+    """Last message, or last time that somebody was there to publish on its topic"""
     messages: int = 0
     size_bytes: int = 0
 
@@ -34,9 +39,20 @@ class RobotRecord:
         """Seconds since its last message."""
         return max(now_ns - self.last_ns, 0) * 1e-9
 
+    def absent_s(self, now_ns: int) -> float:
+        """Seconds since it was there."""
+        return max(now_ns - self.seen_ns, 0) * 1e-9
+
     def bytes_per_s(self, now_ns: int) -> float:
         """Mean rate since its first message; over a second at least."""
-        return self.size_bytes / max((now_ns - self.first_ns) * 1e-9, 1.0)
+        return self.size_bytes / self._span_s(now_ns)
+
+    def messages_per_s(self, now_ns: int) -> float:
+        """Mean rate since its first message; over a second at least."""
+        return self.messages / self._span_s(now_ns)
+
+    def _span_s(self, now_ns: int) -> float:
+        return max((now_ns - self.first_ns) * 1e-9, 1.0)
 
 
 @dataclass(slots=True)
@@ -73,17 +89,42 @@ class Ledger:
         self._reasons.add(reason)
         return True
 
-    def hear(self, submap: SubMap, size_bytes: int, now_ns: int, *, accepted: bool) -> None:
+    def hear(
+        self, submap: SubMap, topic: str, size_bytes: int, now_ns: int, *, accepted: bool
+    ) -> None:
         """Book a valid message on its robot, and its map if the engine has taken it in."""
-        record = self.robots.setdefault(submap.robot_id, RobotRecord(now_ns, now_ns))
+        record = self._record(submap.robot_id, topic, now_ns)
+        record.topic, record.last_ns, record.seen_ns = topic, now_ns, now_ns
         record.messages += 1
         record.size_bytes += size_bytes
-        record.last_ns = now_ns
         if accepted:
-            count = len(submap.landmark_ids)
-            self.maps[submap.map_id] = Held(submap.robot_id, submap.revision, count)
+            self.hold(submap, now_ns)
         else:
             self.ignored += 1
+
+    def hold(self, submap: SubMap, now_ns: int) -> None:
+        """Book a map that the engine has taken in, from wherever."""
+        self._record(submap.robot_id, '', now_ns)
+        count = len(submap.landmark_ids)
+        self.maps[submap.map_id] = Held(submap.robot_id, submap.revision, count)
+
+    def see(self, topics: frozenset[str], now_ns: int) -> None:
+        """Take note of the topics that somebody publishes on now."""
+        for record in self.robots.values():
+            if record.topic in topics:
+                record.seen_ns = now_ns
+
+    def rewind(self, now_ns: int) -> None:
+        """Follow a clock that was set back: nothing was heard in the future."""
+        for record in self.robots.values():
+            record.first_ns = min(record.first_ns, now_ns)
+            record.last_ns = min(record.last_ns, now_ns)
+            record.seen_ns = min(record.seen_ns, now_ns)
+        if self.last_refusal_ns is not None:
+            self.last_refusal_ns = min(self.last_refusal_ns, now_ns)
+
+    def _record(self, robot_id: str, topic: str, now_ns: int) -> RobotRecord:
+        return self.robots.setdefault(robot_id, RobotRecord(topic, now_ns, now_ns, now_ns))
 
     def matching(self, map_id: str, robot_id: str) -> tuple[str, ...]:
         """Maps of this name and of this robot; an empty name is any."""

@@ -10,15 +10,17 @@ from dataclasses import dataclass
 from mapmerge_ros.association import Memory
 from mapmerge_ros.fusion import Fusion, FusionConfig, FusionEngine, Snapshot, fuse
 from mapmerge_ros.io import encode_submap
+from mapmerge_ros.nodes.cloud import Cloud, make_cloud
 from mapmerge_ros.nodes.worker import Result, Worker
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Product:
-    """A fusion, and the bytes of its global map."""
+    """A fusion, and what takes long to make of it: the bytes of its map and of its points."""
 
     fusion: Fusion
     global_map: bytes | None
+    cloud: Cloud
 
 
 OnMerge = Callable[[Result[Product]], None]
@@ -41,10 +43,17 @@ class MergeLoop:
         self._served: list[OnMerge] = []
         self._requests: list[OnMerge] = []
         self._outdated = False
+        self.paused = False
+        """Whether ticks pass without a merge"""
+
+    @property
+    def awaited(self) -> bool:
+        """Whether somebody waits for a merge."""
+        return bool(self._served or self._requests)
 
     def tick(self) -> None:
         """Start a merge if anything has changed and none is running."""
-        if self.engine.changed:
+        if self.engine.changed and not self.paused:
             self._start()
 
     def request(self, on_merge: OnMerge) -> None:
@@ -91,4 +100,5 @@ def produce(snapshot: Snapshot, config: FusionConfig, memory: Memory) -> Product
     """Fuse a snapshot and serialise the global map."""
     fusion = fuse(snapshot, config, memory)
     global_map = fusion.global_map
-    return Product(fusion, None if global_map is None else encode_submap(global_map))
+    raw = None if global_map is None else encode_submap(global_map)
+    return Product(fusion, raw, make_cloud(fusion))

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Quaternion, Vector3
 from mapmerge_msgs.msg import Alignment, AlignmentArray, FusionStatus
-from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.fusion import Fusion, FusionConfig, MapAlignment, State
 from mapmerge_ros.geometry import Similarity, skew
+from mapmerge_ros.nodes.frames import quaternion, vector
 from mapmerge_ros.nodes.ledger import Ledger
 
 NO_COMPONENT = 2**32 - 1
@@ -91,7 +90,6 @@ def _fill_evidence(message: Any, fusion: Fusion) -> None:
 
 def _alignment(item: MapAlignment) -> Any:
     S_global_map = item.S_global_map
-    x, y, z, w = map(float, Rotation.from_matrix(S_global_map.rotation).as_quat())
     return Alignment(
         map_id=item.submap.map_id,
         robot_id=item.submap.robot_id,
@@ -101,8 +99,8 @@ def _alignment(item: MapAlignment) -> Any:
         reason=item.reason,
         component=item.component if item.component >= 0 else NO_COMPONENT,
         scale=S_global_map.scale,
-        rotation=Quaternion(x=x, y=y, z=z, w=w),
-        translation=_vector(S_global_map.translation),
+        rotation=quaternion(S_global_map.rotation),
+        translation=vector(S_global_map.translation),
         covariance=covariance_of_parts(S_global_map, item.covariance).ravel(),
     )
 
@@ -118,8 +116,3 @@ def covariance_of_parts(S_global_map: Similarity, covariance: Floats) -> Floats:
     parts[3:6, :3] = -skew(S_global_map.translation)
     parts[3:6, 6] = S_global_map.translation
     return np.asarray(parts @ covariance @ parts.T, np.float64)
-
-
-def _vector(values: Floats) -> Any:
-    x, y, z = map(float, values)
-    return Vector3(x=x, y=y, z=z)

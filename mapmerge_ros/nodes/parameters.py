@@ -5,52 +5,78 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-
-from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.fusion import FusionConfig
-
-Value = bool | int | float | str
+from mapmerge_ros.nodes.settings import Change, Setting
 
 CONFIG = FusionConfig()
 
-
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """A parameter of a node; its type is that of the default."""
-
-    name: str
-    default: Value
-    description: str
-    low: float = 0.0
-    high: float = 0.0
-    """Range of a number; low = high = 0 is none"""
-    choices: tuple[str, ...] = ()
-    """Allowed texts; none = any"""
-
-
 NODE_SETTINGS = (
-    Setting('merge_period', 1.0, 'Seconds of node time between merges.', 0.01, 3600.0),
+    Setting(
+        'autostart',
+        True,
+        'Whether the node configures and activates itself; false: a lifecycle manager does.',
+    ),
+    Setting(
+        'merge_period',
+        1.0,
+        'Seconds of node time between merges.',
+        0.01,
+        3600.0,
+        change=Change.ALWAYS,
+    ),
     Setting(
         'discovery_pattern',
         '.*/submap$',
         'Regular expression; topics of type SubMap whose whole name matches are subscribed to.',
+        change=Change.UNCONFIGURED,
+        is_pattern=True,
     ),
-    Setting('depth', 200, 'Messages of a topic that may wait to be read.', 1, 100_000),
+    Setting(
+        'depth',
+        200,
+        'Messages of a topic that may wait to be read.',
+        1,
+        100_000,
+        change=Change.UNCONFIGURED,
+    ),
     Setting(
         'reliability',
         'auto',
         'Demanded of publishers; auto: the best that all publishers of a topic offer.',
         choices=('auto', 'reliable', 'best_effort'),
+        change=Change.UNCONFIGURED,
     ),
     Setting(
         'durability',
         'auto',
         'Demanded of publishers; auto: the best that all publishers of a topic offer.',
         choices=('auto', 'transient_local', 'volatile'),
+        change=Change.UNCONFIGURED,
+    ),
+    Setting(
+        'robot_timeout',
+        0.0,
+        'Seconds of node time without a message or a publisher after which a robot counts as '
+        'stale in the diagnostics; its maps stay. 0: never.',
+        0.0,
+        86_400.0,
+        change=Change.ALWAYS,
+    ),
+    Setting(
+        'publish_tf',
+        True,
+        'Whether the frames of merged sub-maps are sent on /tf_static, below the global frame.',
+        change=Change.UNCONFIGURED,
+    ),
+    Setting(
+        'max_ellipsoids',
+        100,
+        'Landmarks whose uncertainty is drawn in ~/markers, the least certain ones first.',
+        0,
+        10_000,
+        change=Change.ALWAYS,
     ),
 )
 
@@ -164,76 +190,11 @@ class NodeSettings:
     depth: int
     reliability: str
     durability: str
+    robot_timeout: float
+    """[s] of node time; 0 = never"""
+    publish_tf: bool
+    max_ellipsoids: int
 
 
-def declare_settings(node: Any) -> NodeSettings:
-    """
-    Declare and read the parameters about topics and time.
-
-    Raises
-    ------
-    InvalidValue
-        A value that its descriptor cannot exclude by itself.
-
-    """
-    values = {setting.name: declare(node, setting) for setting in NODE_SETTINGS}
-    try:
-        values['discovery_pattern'] = re.compile(values['discovery_pattern'])
-    except re.error as err:
-        raise InvalidValue(f'discovery_pattern: not a regular expression: {err}') from err
-    return NodeSettings(**values)
-
-
-def declare_config(node: Any) -> FusionConfig:
-    """Declare and read the parameters of the engine."""
-    own_map_id = f'{node.get_fully_qualified_name()[1:]}/global'
-    first, *others = CONFIG_SETTINGS
-    settings = (replace(first, default=own_map_id), *others)
-    return FusionConfig(**{setting.name: declare(node, setting) for setting in settings})
-
-
-def declare(node: Any, setting: Setting) -> Any:
-    """
-    Declare one parameter and return its value, of the type of its default.
-
-    Raises
-    ------
-    InvalidValue
-        It is of another type, out of its range, or none of its choices.
-
-    """
-    value: Any = node.declare_parameter(setting.name, setting.default, _descriptor(setting)).value
-    wanted = type(setting.default)
-    if wanted is float and type(value) is int:
-        value = float(value)
-    matches = type(value) is wanted  # bool is an int to isinstance
-    if not matches:
-        raise InvalidValue(f'{setting.name}: {value!r} is not of type {wanted.__name__}')
-    if setting.low != setting.high and not setting.low <= value <= setting.high:
-        raise InvalidValue(
-            f'{setting.name}: {value} is not between {setting.low:g} and {setting.high:g}'
-        )
-    if setting.choices and value not in setting.choices:
-        raise InvalidValue(f'{setting.name}: {value!r} is none of {", ".join(setting.choices)}')
-    return value
-
-
-def _descriptor(setting: Setting) -> Any:
-    descriptor = ParameterDescriptor(
-        description=setting.description,
-        additional_constraints=' | '.join(setting.choices),
-        read_only=True,
-        # `-p merge_period:=2` is an integer to the parser: it is converted, not refused.
-        dynamic_typing=isinstance(setting.default, float),
-    )
-    if setting.low == setting.high:
-        return descriptor
-    if isinstance(setting.default, float):
-        descriptor.floating_point_range = [
-            FloatingPointRange(from_value=float(setting.low), to_value=float(setting.high))
-        ]
-    else:
-        descriptor.integer_range = [
-            IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)
-        ]
-    return descriptor
+FIXED_CONFIG = frozenset({'map_id', 'global_frame'})
+"""Of the engine's parameters those that others know it by: they stay while it is configured."""

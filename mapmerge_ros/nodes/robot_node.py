@@ -14,9 +14,9 @@ from rclpy.node import Node
 
 from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.io import encode_submap, read_submaps
-from mapmerge_ros.nodes.parameters import Setting, declare
 from mapmerge_ros.nodes.process import run_node
 from mapmerge_ros.nodes.quality import Quality
+from mapmerge_ros.nodes.settings import Setting, declare
 
 SETTINGS = (
     Setting('recording', '', 'Path of a .mcap file or a rosbag2 folder.'),

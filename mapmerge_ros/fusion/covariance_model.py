@@ -1,0 +1,246 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Covariance of the differences between real sub-maps, fitted robustly from the merge itself.
+
+φ times what the sub-maps say, plus τ² a ground floor that no sub-map knows of, plus ω² a smooth
+field over each map (a lens that is not quite the calibrated one). docs/statistics.md
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+import scipy.stats
+
+from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.fusion.contrasts import Contrasts
+from mapmerge_ros.fusion.likelihood import Weighing, derivatives, step, weigh
+from mapmerge_ros.fusion.local import Sensitivity
+from mapmerge_ros.fusion.quadratic import Quadratic
+from mapmerge_ros.fusion.tails import Tails, fit_tails
+
+TRIM = float(scipy.stats.chi2.isf(1e-3, 3))
+"""Statistic beyond which a landmark has no say in the fit: of Gaussian ones, one in a thousand."""
+
+MOST_ASIDE = 0.25
+"""Share of the tracks that may be set aside: what is left has to be the rule."""
+
+KEEP_TRIMMED = 0.8
+"""Share of `TRIM` below which a landmark gets its say back; less than 1, or it goes in circles."""
+
+MAX_STEPS, SETTLED = 12, 0.02
+"""Steps, and the relative change below which they end: a tenth of the fit's own uncertainty."""
+
+TRIM_ROUNDS = 4
+"""Times that the landmarks set aside are chosen anew; two are usual."""
+
+LARGEST_TAIL = 150.0
+"""
+Statistic beyond which a landmark says nothing about tails: it has moved, or is a wrong match.
+
+The largest of an unmoved landmark of EuRoC and Caliterra is 128.
+"""
+
+COARSE_CONTRASTS, FINE_CONTRASTS, FINE_STEPS = 200, 400, 2
+"""
+Contrasts on which the fit walks most of its way, up to which it then uses all, and steps of that.
+
+Three variances need no more: 600 differences give φ to 6 %. The cost goes with the cube.
+"""
+
+
+TEXTBOOK = np.array([1.0, 0.0, 0.0])
+"""Variances of sub-maps that are what they claim."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CovarianceModel:
+    """Variances of the differences between sub-maps, as fitted."""
+
+    variances: Floats
+    """(3,) φ, τ² and ω² in `unit`²"""
+    unit: float
+    """Typical standard deviation of a difference [map units]"""
+    tails: Tails
+    steps: int
+
+    @property
+    def is_textbook(self) -> bool:
+        """Whether the sub-maps are believed to the letter."""
+        return bool(np.array_equal(self.variances, TEXTBOOK))
+
+    @property
+    def phi(self) -> float:
+        """Factor on the variances that the sub-maps claim."""
+        return float(self.variances[0])
+
+    @property
+    def tau(self) -> float:
+        """Ground floor [map units]."""
+        return float(self.unit * np.sqrt(self.variances[1]))
+
+    @property
+    def omega(self) -> float:
+        """Smooth field [map units]."""
+        return float(self.unit * np.sqrt(self.variances[2]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A model with what it was fitted to."""
+
+    model: CovarianceModel
+    aside: Ints
+    """Members too far off to have a say, one of a track at most"""
+    statistics: Floats
+    """(tracks,) of the worst member of each track, those aside given each other"""
+    gain: float
+    """Log-likelihood over that of the textbook: φ = 1, τ = ω = 0"""
+    price: float
+    """Of what is neither moved nor aside, χ²(dof) if the variances are right"""
+    dof: int
+
+
+def fit_model(
+    data: Contrasts, highest: Floats, moved: Ints, start: Floats | None = None
+) -> Fitted:
+    """
+    Fit φ, τ, ω within `highest` (3,), and the tails; `moved` members (objects) have no say.
+
+    First on some of the tracks, then on all of them.
+
+    Raises
+    ------
+    DegenerateGeometry
+        The differences have no definite covariance.
+
+    """
+    variances = np.minimum([1.0, 0.1, 0.1] if start is None else start, highest)
+    coarse = data.thinned(COARSE_CONTRASTS)
+    variances, aside, taken = _iterate(coarse, variances, highest, moved, MAX_STEPS)
+    if coarse is not data and len(data.tracks) <= FINE_CONTRASTS:
+        variances, aside, more = _iterate(data, variances, highest, moved, FINE_STEPS)
+        taken += more
+    return settled(data, variances, moved, aside, taken)
+
+
+def settled(
+    data: Contrasts, variances: Floats, moved: Ints, aside: Ints, steps: int = 0
+) -> Fitted:
+    """Everything that follows once the variances are given; `aside` is where trimming starts."""
+    moved = moved[data.owners[moved] >= 0]
+    blind = data.blind_to(moved)
+    weighing = weigh(blind, variances)
+    for _ in range(TRIM_ROUNDS):
+        before = aside
+        aside, worst = _trimmed(blind, weighing, aside, moved)
+        if np.array_equal(before, aside):
+            break
+    rest = weighing.unlocked(blind, aside)
+    textbook = weigh(blind, TEXTBOOK).unlocked(blind, aside)
+    model = CovarianceModel(variances, data.unit, fit_tails(worst, LARGEST_TAIL), steps)
+    return Fitted(
+        model,
+        aside,
+        worst,
+        gain=rest.log_likelihood - textbook.log_likelihood,
+        price=rest.price(data),
+        dof=blind.dof - 3 * len(aside),
+    )
+
+
+def model_sensitivity(merge: Quadratic, data: Contrasts, model: CovarianceModel) -> Sensitivity:
+    """Local tests under the fitted covariance: s = C'P w, J = C'P C."""
+    weighing = weigh(data, model.variances)
+    spread = scipy.sparse.kron(data.from_members, np.eye(3), format='csc')
+    half = np.asarray(spread.T @ weighing.precision)
+    within = []
+    for k in range(len(merge.information)):
+        part = merge.members.of_map(k)
+        at = slice(3 * part.start, 3 * part.stop)
+        within.append(np.asarray((spread[:, at].T @ half[at].T).T))
+    return Sensitivity(
+        members=merge.members,
+        score=data.scores(weighing.weighted),
+        within=tuple(within),
+        columns=lambda chosen: half @ data.columns(chosen),
+        price=weighing.price(data),
+        dof=data.dof,
+        # Of tracks that are not in the sample nothing is known.
+        unlocked=data.owners < 0,
+    )
+
+
+def _iterate(
+    data: Contrasts, variances: Floats, highest: Floats, moved: Ints, steps: int
+) -> tuple[Floats, Ints, int]:
+    moved = moved[data.owners[moved] >= 0]
+    blind = data.blind_to(moved)
+    aside, taken = np.zeros(0, np.int64), 0
+    while taken < steps:
+        taken += 1
+        weighing = weigh(blind, variances)
+        before = aside
+        aside, _ = _trimmed(blind, weighing, aside, moved)
+        trimmed = weighing.unlocked(blind, aside)
+        following = step(variances, *derivatives(blind, trimmed), highest)
+        change = np.abs(following - variances).max() / following.sum()
+        variances = following
+        if change < SETTLED and np.array_equal(before, aside):
+            break
+    return variances, aside, taken
+
+
+def _trimmed(data: Contrasts, weighing: Weighing, aside: Ints, moved: Ints) -> tuple[Ints, Floats]:
+    """
+    Members to set aside, starting from those that are; and the statistic of each track.
+
+    The worst member of a track speaks for it; who is aside is tested against the others alone,
+    who is not, given that those are.
+    """
+    statistics = _statistics(data, weighing.unlocked(data, aside), np.append(moved, aside))
+    limits = np.full(len(statistics), TRIM)
+    if len(aside):
+        of_aside = np.isin(data.owners, data.owners[aside])
+        statistics[of_aside] = 0.0
+        statistics[aside] = _given_each_other(data, weighing, aside)
+        limits[aside] *= KEEP_TRIMMED
+    order = np.lexsort((statistics, data.owners))
+    is_last = np.append(np.diff(data.owners[order]) > 0, True)
+    worst = order[is_last & (statistics[order] > 0.0)]
+    chosen = worst[statistics[worst] > limits[worst]]
+    most = int(MOST_ASIDE * len(worst))
+    chosen = chosen[np.argsort(-statistics[chosen], kind='stable')][:most]
+    return np.sort(chosen), statistics[worst]
+
+
+def _statistics(data: Contrasts, weighing: Weighing, unlocked: Ints) -> Floats:
+    """Statistic (s,) of each locked member given the unlocked; 0 where there is none."""
+    locked = data.owners >= 0
+    locked[unlocked] = False
+    views = np.bincount(data.owners[locked], minlength=int(data.owners.max()) + 1)
+    tested = np.flatnonzero(locked & (views[data.owners] > 1))
+    scores = data.scores(weighing.weighted)[tested]
+    blocks = data.blocks(weighing.precision)[tested]
+    statistics = np.zeros(len(locked))
+    statistics[tested] = _squares(scores, blocks)
+    return statistics
+
+
+def _given_each_other(data: Contrasts, weighing: Weighing, aside: Ints) -> Floats:
+    """Statistic (m,) of each unlocked member, the others staying unlocked."""
+    columns = data.columns(aside)
+    covariance = np.linalg.inv(columns.T @ weighing.precision @ columns)
+    displacement = (covariance @ (columns.T @ weighing.weighted)).reshape(-1, 3)
+    count, every = len(aside), np.arange(len(aside))
+    blocks = covariance.reshape(count, 3, count, 3)[every, :, every, :]
+    return _squares(displacement, blocks)
+
+
+def _squares(vectors: Floats, blocks: Floats) -> Floats:
+    """Square v' B⁻¹ v for each of (n, 3) and (n, 3, 3)."""
+    solved = np.linalg.solve(blocks, vectors[..., None])[..., 0]
+    return np.asarray(np.einsum('si,si->s', vectors, solved))

@@ -1,0 +1,240 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A merge examined with errors that maps of real cameras have: objects, model, landmarks, price.
+
+In this order, since it matters: objects are put aside before the model is fitted, or the smooth
+field swallows them; they are put back under the model, or warp is called an object.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.stats
+
+from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion.conditional import conditional_tests
+from mapmerge_ros.fusion.contrasts import Contrasts, contrasts, scene_radius
+from mapmerge_ros.fusion.covariance_model import (
+    LARGEST_TAIL,
+    TEXTBOOK,
+    CovarianceModel,
+    Fitted,
+    fit_model,
+    model_sensitivity,
+    settled,
+)
+from mapmerge_ros.fusion.local import LocalTests, Sensitivity, sensitivity, tail
+from mapmerge_ros.fusion.objects import (
+    LEAST_STATISTIC,
+    LEAST_WITHOUT_LOUDEST,
+    MovedObject,
+    common_motion,
+    find_objects,
+)
+from mapmerge_ros.fusion.quadratic import Quadratic
+from mapmerge_ros.fusion.tails import GAUSSIAN, are_gaussian
+
+MIN_CONTRASTS, MAX_CONTRASTS = 50, 600
+"""
+Fewer do not carry three variances and their tails; of more, every n-th track stands for all.
+
+The cost goes with the cube: 600 take 0.5 s a step.
+"""
+
+MIN_GAIN = 8.0
+"""
+Log-likelihood that a model must bring to be preferred to the textbook.
+
+Twice that is χ²(3) where noise is Gaussian: p = 0.001. Real sets have 27 to 4000.
+"""
+
+MAX_PHI, MAX_TAU_UNITS, MAX_OMEGA_RADII = 2.5, 1.0, 5e-3
+"""
+What is believed of an honest map: three times what EuRoC and Caliterra show, no more.
+
+φ is 0.9 there; ω is 1.6e-3 of the scene radius. τ may be as large as a typical difference.
+A merge that needs more is refused, whatever would explain it.
+"""
+
+BAD_LEVEL, BAD_SHARE = 1e-3, 0.01
+"""p-value from which a landmark is one too many, and the share of those that is believed."""
+
+MAX_ASIDE = 0.15
+"""
+Share of the landmarks that may be set aside.
+
+EuRoC has up to 13 % if its bad tracks are compressed as well, Caliterra 8 %.
+"""
+
+TESTED_FIRST = 0.05
+"""p-value of the textbook from which nothing else is fitted, if the landmarks look Gaussian."""
+
+MAX_TRACKS = 1000
+"""
+Merged landmarks up to which single ones are tested and objects looked for.
+
+Beyond, dense algebra takes longer than the merge is worth; the price is tested on a sample.
+"""
+
+MEDIAN_CHI2 = float(scipy.stats.chi2.median(3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Examination:
+    """What is wrong with a merge, and whether the rest can be believed."""
+
+    model: CovarianceModel | None
+    """None: the textbook holds, or nothing else may be believed"""
+    objects: tuple[MovedObject, ...]
+    aside: Ints
+    """Members beyond all else, one of a track at most"""
+    tests: LocalTests | None
+    """
+    Of every member, p-values under the model, given that objects and what is aside are off.
+
+    None in a very large merge.
+    """
+    textbook_tests: LocalTests | None
+    """Every sub-map believed to the letter, all members locked"""
+    price: float
+    """Of what is neither an object nor aside, under the model"""
+    dof: int
+    p_objects: float
+    """That objects as strong as these are errors under the model; 1 without any"""
+    p_value: float
+    """
+    Of that price, of so many bad landmarks and of the worst: thrice the least of the three.
+
+    Zero if more is set aside than may be.
+    """
+
+
+def examine(merge: Quadratic, redundancy: float, *, certain: bool) -> Examination:
+    """
+    Examine a merge at its optimum.
+
+    `redundancy` is that of an estimated σ (inf: known). Without `certain` geometry (a rotation
+    between sub-maps weakly determined, no convergence) an excess may be a wrong basin, and only
+    the textbook test is believed.
+
+    Raises
+    ------
+    DegenerateGeometry
+        A landmark is not determined.
+
+    """
+    large = len(merge.points) > MAX_TRACKS
+    plain = _by_textbook(merge, redundancy)
+    state = None if large else sensitivity(merge, redundancy)
+    gaussian = True
+    if state:
+        tests = state.tests()
+        statistics = tests.statistic[tests.distinct]
+        suspects = find_objects(state, merge.points, LEAST_STATISTIC * _usual(statistics))
+        plain = replace(plain, tests=tests, textbook_tests=tests, objects=suspects)
+        gaussian = not suspects and are_gaussian(statistics, LARGEST_TAIL)
+    enough = len(merge.members) - len(merge.points) >= MIN_CONTRASTS
+    if not (certain and enough) or (gaussian and plain.p_value >= TESTED_FIRST):
+        return plain
+    try:
+        found = _under_model(merge, state, plain.objects)
+        return replace(found, textbook_tests=plain.textbook_tests)
+    except (DegenerateGeometry, np.linalg.LinAlgError):
+        return plain  # so far off that no covariance describes it
+
+
+def _usual(statistics: Floats) -> float:
+    """How much larger the statistics are than Gaussian ones, by the median; at least 1."""
+    return max(1.0, float(np.median(statistics)) / MEDIAN_CHI2) if len(statistics) else 1.0
+
+
+def _by_textbook(merge: Quadratic, redundancy: float) -> Examination:
+    p_value = float(tail(np.array(merge.price), merge.dof, redundancy)) if merge.dof > 0 else 1.0
+    nobody = np.zeros(0, np.int64)
+    return Examination(None, (), nobody, None, None, merge.price, merge.dof, 1.0, p_value)
+
+
+def _under_model(
+    merge: Quadratic, textbook: Sensitivity | None, suspects: tuple[MovedObject, ...]
+) -> Examination:
+    data = contrasts(merge, MAX_CONTRASTS, _members(suspects))
+    radii = MAX_OMEGA_RADII * scene_radius(merge.points) / data.unit
+    highest = np.array([MAX_PHI, MAX_TAU_UNITS**2, radii**2])
+    fitted = _fit(data, highest, _members(suspects))
+    if textbook is None:
+        return _judged(fitted, np.inf)
+    state = _state(merge, data, textbook, fitted)
+    objects = _confirmed(state, suspects, fitted.model)
+    if len(objects) < len(suspects):
+        fitted = _fit(data, highest, _members(objects), fitted.model.variances)
+        state = _state(merge, data, textbook, fitted)
+        objects = _confirmed(state, objects, fitted.model)
+    tests = conditional_tests(state, np.union1d(_members(objects), fitted.aside))
+    p_values = fitted.model.tails.p_value(tests.statistic, state.redundancy)
+    return replace(
+        _judged(fitted, state.redundancy),
+        objects=objects,
+        p_objects=_p_objects(objects, fitted.model),
+        tests=replace(tests, p_value=np.where(tests.testable, p_values, 1.0)),
+    )
+
+
+def _fit(data: Contrasts, highest: Floats, moved: Ints, start: Floats | None = None) -> Fitted:
+    fitted = fit_model(data, highest, moved, start)
+    if fitted.gain >= MIN_GAIN:
+        return fitted
+    plain = settled(data, TEXTBOOK, moved, np.zeros(0, np.int64))
+    return replace(plain, model=replace(plain.model, tails=GAUSSIAN))
+
+
+def _state(
+    merge: Quadratic, data: Contrasts, textbook: Sensitivity, fitted: Fitted
+) -> Sensitivity:
+    if fitted.model.is_textbook:
+        return textbook
+    return model_sensitivity(merge, data, fitted.model)
+
+
+def _confirmed(
+    state: Sensitivity, suspects: tuple[MovedObject, ...], model: CovarianceModel
+) -> tuple[MovedObject, ...]:
+    """Suspects that the model does not explain, each with all others unlocked."""
+    confirmed: list[MovedObject] = []
+    for moved in suspects:
+        others = [other.members for other in suspects if other is not moved]
+        rest = state.unlock(np.concatenate(others)) if others else state
+        again = common_motion(rest, moved.members)
+        stands = again.without_loudest >= LEAST_WITHOUT_LOUDEST
+        if stands and again.statistic >= LEAST_STATISTIC * model.tails.mean:
+            confirmed.append(again)
+    return tuple(confirmed)
+
+
+def _judged(fitted: Fitted, redundancy: float) -> Examination:
+    """Believe the rest by its price, the number of bad landmarks and the worst of them."""
+    count = len(fitted.statistics)
+    p_values = fitted.model.tails.p_value(fitted.statistics, redundancy)
+    bad = int((p_values < BAD_LEVEL).sum())
+    parts = (
+        float(tail(np.array(fitted.price), fitted.dof, redundancy)),
+        float(scipy.stats.binom.sf(bad - 1, count, BAD_SHARE)),
+        float(-np.expm1(count * np.log1p(-p_values.min(initial=0.5)))),
+    )
+    p_value = min(1.0, len(parts) * min(parts))
+    if len(fitted.aside) > MAX_ASIDE * count:
+        p_value = 0.0
+    model = fitted.model
+    return Examination(model, (), fitted.aside, None, None, fitted.price, fitted.dof, 1.0, p_value)
+
+
+def _p_objects(objects: tuple[MovedObject, ...], model: CovarianceModel) -> float:
+    strongest = max((moved.statistic for moved in objects), default=0.0)
+    return float(scipy.stats.chi2.sf(strongest / model.tails.mean, 3))
+
+
+def _members(objects: tuple[MovedObject, ...]) -> Ints:
+    return np.concatenate([np.zeros(0, np.int64), *(moved.members for moved in objects)])

@@ -1,0 +1,115 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Restricted likelihood (REML) of three variances: noise, ground floor, smooth field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.linalg.lapack
+
+from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion.contrasts import Contrasts
+
+LEAST = 1e-4
+"""Variance, of the typical one of a difference, that is as good as zero."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighing:
+    """Differences weighed with their covariance at some variances, frames taken out."""
+
+    precision: Floats
+    """P (3t, 3t): inverse covariance of the differences, blind to frames"""
+    weighted: Floats
+    """P w (3t,)"""
+    log_likelihood: float
+    """Restricted; comparable between variances, not between sets of what is unlocked"""
+
+    def unlocked(self, data: Contrasts, members: Ints) -> Weighing:
+        """Blind to displacements of some members as well: a low rank taken away."""
+        if not len(members):
+            return self
+        columns = data.columns(members)
+        seen = self.precision @ columns
+        factor = scipy.linalg.cholesky(columns.T @ seen, lower=True)
+        half = scipy.linalg.solve_triangular(factor, seen.T, lower=True)
+        white = scipy.linalg.solve_triangular(factor, columns.T @ self.weighted, lower=True)
+        return Weighing(
+            self.precision - half.T @ half,
+            self.weighted - half.T @ white,
+            self.log_likelihood + 0.5 * float(white @ white) - _log_det(factor),
+        )
+
+    def price(self, data: Contrasts) -> float:
+        """Price w'P w, χ²(dof) if the variances are right."""
+        return float(data.differences @ self.weighted)
+
+
+def weigh(data: Contrasts, variances: Floats) -> Weighing:
+    """
+    Weigh the differences: P = V⁻¹ - V⁻¹G (G'V⁻¹G)⁻¹ G'V⁻¹.
+
+    Raises
+    ------
+    DegenerateGeometry
+        The covariance is not definite.
+
+    """
+    factor, failed = scipy.linalg.lapack.dpotrf(
+        data.covariance(variances), lower=1, clean=1, overwrite_a=1
+    )
+    if failed:
+        raise DegenerateGeometry('the differences of the sub-maps have no definite covariance')
+    log_det = _log_det(factor)
+    inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)
+    precision = inverse + np.tril(inverse, -1).T
+    if data.frames.shape[1]:
+        seen = precision @ data.frames
+        inner = scipy.linalg.cholesky(data.frames.T @ seen, lower=True)
+        half = scipy.linalg.solve_triangular(inner, seen.T, lower=True)
+        precision -= half.T @ half
+        log_det += _log_det(inner)
+    weighted = precision @ data.differences
+    return Weighing(precision, weighted, -log_det - 0.5 * float(data.differences @ weighted))
+
+
+def _log_det(factor: Floats) -> float:
+    return float(np.log(np.diag(factor)).sum())
+
+
+def derivatives(data: Contrasts, weighing: Weighing) -> tuple[Floats, Floats]:
+    """Gradient (3,) and average information (3, 3) of the restricted log-likelihood."""
+    traces, parts = data.traces(weighing.precision), data.parts(weighing.weighted)
+    gradient = 0.5 * (parts @ weighing.weighted - traces)
+    return gradient, 0.5 * parts @ weighing.precision @ parts.T
+
+
+def step(variances: Floats, gradient: Floats, information: Floats, highest: Floats) -> Floats:
+    """
+    Next variances within 0 … `highest`: Newton with the average information.
+
+    A variance at a bound that wants to go beyond it is held there. None falls below a tenth of
+    what it was, nor rises beyond four times: the information is that of the old place.
+    """
+    free = ~((variances <= LEAST) & (gradient <= 0.0))
+    free &= ~((variances >= highest) & (gradient >= 0.0))
+    wanted = np.where(variances <= LEAST, 0.0, variances)
+    while free.any():
+        at = np.flatnonzero(free)
+        inner = information[np.ix_(at, at)]
+        inner = inner + 1e-9 * np.diag(np.diag(inner))
+        wanted[at] = variances[at] + np.linalg.solve(inner, gradient[at])
+        stuck = free & (variances <= LEAST) & (wanted < 0.0)
+        if not stuck.any():
+            break
+        wanted[stuck] = 0.0
+        free &= ~stuck
+    bounded = np.clip(wanted, 0.1 * variances, 4.0 * variances + 0.1)
+    bounded[bounded <= LEAST] = 0.0
+    nothing = bounded[:2].sum() <= 0.0
+    bounded[0] = max(bounded[0], LEAST if nothing else 0.0)
+    return np.asarray(np.minimum(bounded, highest))

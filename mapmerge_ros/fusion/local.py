@@ -1,0 +1,248 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What moved: the displacement of each landmark of each sub-map, its covariance and its test.
+
+A member (landmark j of sub-map k) is unlocked by giving it a displacement D of its own. The
+price of merging is then price - 2 s'D + D'JD, minimised over all landmarks and frames:
+J⁻¹s is the displacement, J⁻¹ its covariance, s'J⁻¹s ~ χ²(3) its test. docs/statistics.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+
+from mapmerge_ros.arrays import Floats, Ints, Mask
+from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion.element import coordinates
+from mapmerge_ros.fusion.quadratic import Members, Quadratic
+from mapmerge_ros.geometry import gauge_basis
+
+LEAST_INFORMATION = 1e-9
+"""
+Share of the information that others must leave a member in its weakest direction.
+
+Below it is rounding: the last digits of float64, squared in R'R.
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalTests:
+    """One test per member; nan where there is nothing to test."""
+
+    members: Members
+    testable: Mask
+    """(s,) locked, and held by another member of its track that is locked as well"""
+    distinct: Mask
+    """(s,) testable, and not the same test as that of its only partner"""
+    statistic: Floats
+    """(s,)"""
+    p_value: Floats
+    """(s,) 1 where there is nothing to test"""
+    displacement: Floats
+    """(s, 3) global map units: where the sub-map sees it, from where the others do"""
+    covariance: Floats
+    """(s, 3, 3)"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivity:
+    """How the price of merging answers to displacements of members: s and J."""
+
+    members: Members
+    score: Floats
+    """s (s, 3)"""
+    within: tuple[Floats, ...]
+    """Per sub-map its own block of J (3s_k, 3s_k)"""
+    columns: Callable[[Ints], Floats]
+    """Columns (3s, 3m) of J of some members (m,), all members locked"""
+    price: float
+    dof: int
+    redundancy: float = np.inf
+    """Of the estimate of the variance in the statistics; F instead of χ² where it is finite"""
+    unlocked: Mask | None = None
+    """(s,)"""
+    root: Floats | None = None
+    """(3s, 3u) J of the unlocked is taken away as root root'"""
+
+    @property
+    def locked(self) -> Mask:
+        """(s,)"""
+        return np.ones(len(self.members), bool) if self.unlocked is None else ~self.unlocked
+
+    def testable(self) -> Mask:
+        """(s,) members whose displacement the locked others determine."""
+        locked = self.locked
+        views = np.bincount(self.members.tracks, weights=locked)
+        return np.asarray(locked & (views[self.members.tracks] > 1))
+
+    def information(self) -> Floats:
+        """Blocks (s, 3, 3) of J of each member with itself."""
+        blocks = []
+        for own in self.within:
+            count = len(own) // 3
+            every = np.arange(count)
+            blocks.append(own.reshape(count, 3, count, 3)[every, :, every, :])
+        return np.concatenate(blocks)
+
+    def unlock(self, chosen: Ints) -> Sensitivity:
+        """
+        Unlock some members, each by a displacement of its own.
+
+        Raises
+        ------
+        DegenerateGeometry
+            The displacement of one of them is not determined by the others.
+
+        """
+        at = coordinates(chosen)
+        columns = self.columns(chosen)
+        if self.root is not None:
+            columns = columns - self.root @ self.root[at].T
+        block = columns[at]
+        try:
+            factor = np.linalg.cholesky(0.5 * (block + block.T))
+        except np.linalg.LinAlgError:
+            raise DegenerateGeometry('a landmark without partner cannot be unlocked') from None
+        added = scipy.linalg.solve_triangular(factor, columns.T, lower=True).T
+        white = scipy.linalg.solve_triangular(factor, self.score[chosen].ravel(), lower=True)
+        unlocked = ~self.locked
+        unlocked[chosen] = True
+        return replace(
+            self,
+            score=self.score - (added @ white).reshape(-1, 3),
+            within=tuple(
+                own - part @ part.T
+                for own, part in zip(self.within, self._split(added), strict=True)
+            ),
+            price=self.price - float(white @ white),
+            dof=self.dof - 3 * len(chosen),
+            unlocked=unlocked,
+            root=added if self.root is None else np.column_stack([self.root, added]),
+        )
+
+    def tests(self) -> LocalTests:
+        """Every member by itself, given those that are unlocked."""
+        testable, blocks = self.testable(), self.information()
+        inverse = np.full_like(blocks, np.nan)
+        inverse[testable] = np.linalg.inv(blocks[testable])
+        displacement = np.einsum('sij,sj->si', inverse, self.score)
+        statistic = np.einsum('si,si->s', self.score, displacement)
+        return LocalTests(
+            members=self.members,
+            testable=testable,
+            distinct=testable & self._first_of_two(testable),
+            statistic=statistic,
+            p_value=np.where(testable, tail(statistic, 3, self.redundancy), 1.0),
+            displacement=displacement,
+            covariance=inverse,
+        )
+
+    def _first_of_two(self, testable: Mask) -> Mask:
+        """All but the second member of a track that has only two left."""
+        tracks = self.members.tracks
+        views = np.bincount(tracks, weights=self.locked)
+        first = np.full(len(views), len(tracks))
+        rows = np.flatnonzero(testable)
+        np.minimum.at(first, tracks[rows], rows)
+        return np.asarray((views[tracks] > 2) | (first[tracks] == np.arange(len(tracks))))
+
+    def _split(self, rows: Floats) -> list[Floats]:
+        ends = np.cumsum([len(own) for own in self.within])[:-1]
+        return list(np.split(rows, ends))
+
+
+def sensitivity(merge: Quadratic, redundancy: float = np.inf) -> Sensitivity:
+    """
+    Sensitivity of a merge whose noise is known, or estimated from `redundancy` residuals.
+
+    M = blkdiag(L) - L H⁺ L with H = Σ L_k; only its blocks within a sub-map are formed.
+
+    Raises
+    ------
+    DegenerateGeometry
+        The landmarks are not determined by the sub-maps together.
+
+    """
+    members, size = merge.members, merge.points.size
+    at = [coordinates(members.tracks[members.of_map(k)]) for k in range(len(merge.information))]
+    hessian = np.zeros((size, size))
+    for own, rows in zip(merge.information, at, strict=True):
+        hessian[np.ix_(rows, rows)] += own
+    null = gauge_basis(merge.points, merge.gauge)
+    hessian += np.diag(hessian).mean() * null @ null.T
+    try:
+        inverse = _inverse(hessian)
+    except np.linalg.LinAlgError:
+        raise DegenerateGeometry('a merged landmark is not determined') from None
+
+    def columns(chosen: Ints) -> Floats:
+        pushed, own_part = np.zeros((size, 3 * len(chosen))), np.zeros((3 * len(members), 0))
+        own_part = np.zeros((3 * len(members), 3 * len(chosen)))
+        for slot, member in enumerate(chosen):
+            k = int(members.maps[member])
+            part = members.of_map(k)
+            inside = slice(3 * (int(member) - part.start), 3 * (int(member) - part.start) + 3)
+            mine = slice(3 * slot, 3 * slot + 3)
+            pushed[at[k], mine] += merge.information[k][:, inside]
+            own_part[3 * part.start : 3 * part.stop, mine] += merge.information[k][:, inside]
+        answered = inverse @ pushed
+        shared = [own @ answered[rows] for own, rows in zip(merge.information, at, strict=True)]
+        return own_part - np.concatenate(shared)
+
+    return Sensitivity(
+        members=members,
+        score=-merge.gradient,
+        within=tuple(
+            own - own @ inverse[np.ix_(rows, rows)] @ own
+            for own, rows in zip(merge.information, at, strict=True)
+        ),
+        columns=columns,
+        price=merge.price,
+        dof=merge.dof,
+        redundancy=redundancy,
+    )
+
+
+def local_tests(merge: Quadratic, redundancy: float = np.inf) -> LocalTests:
+    """Test every landmark of every sub-map against all others, Gaussian noise of known σ."""
+    return sensitivity(merge, redundancy).tests()
+
+
+def forward_selection(
+    state: Sensitivity, level: float, at_most: int | None = None
+) -> tuple[Sensitivity, Ints]:
+    """
+    Unlock the most significant member below `level`, test again, and so on.
+
+    A wrong member pulls its partners and neighbours: tested once, they are found as well
+    (up to 9 % of the unmoved). Returns the final state and the members in the order found.
+    """
+    found: list[int] = []
+    while at_most is None or len(found) < at_most:
+        tests = state.tests()
+        p_value = np.where(tests.distinct, tests.p_value, 1.0)
+        statistic = np.where(tests.distinct, tests.statistic, -np.inf)
+        best = int(np.argmax(statistic))
+        if not p_value[best] < level:
+            break
+        state = state.unlock(np.array([best]))
+        found.append(best)
+    return state, np.array(found, np.int64)
+
+
+def tail(statistic: Floats, dof: float, redundancy: float) -> Floats:
+    """Probability of a larger statistic: χ², or F where the variance is estimated."""
+    if np.isinf(redundancy):
+        return np.asarray(scipy.stats.chi2.sf(statistic, dof))
+    return np.asarray(scipy.stats.f.sf(statistic / dof, dof, redundancy))
+
+
+def _inverse(matrix: Floats) -> Floats:
+    factor = scipy.linalg.cho_factor(matrix, check_finite=False)
+    return np.asarray(scipy.linalg.cho_solve(factor, np.eye(len(matrix)), check_finite=False))

@@ -1,0 +1,88 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The points of the global map as a PointCloud2, coloured by robot."""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import PointCloud2, PointField
+
+from mapmerge_ros.fusion import Fusion
+from mapmerge_ros.io.map_points import SEVERAL, map_points
+from mapmerge_ros.io.palette import SHARED, Rgb, colours
+
+POINT = np.dtype(
+    [
+        ('x', '<f4'),
+        ('y', '<f4'),
+        ('z', '<f4'),
+        ('rgb', '<u4'),
+        ('std', '<f4'),
+        ('views', '<f4'),
+    ]
+)
+"""rgb is 0x00rrggbb, as the display tools of ROS have it; std is nan where it is not known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """Points as they go over the wire."""
+
+    data: bytes
+    """one `POINT` each"""
+
+    def message(self, header: Any) -> Any:
+        """PointCloud2 in the frame of the header."""
+        count = len(self.data) // POINT.itemsize
+        assert POINT.fields is not None
+        return PointCloud2(
+            header=header,
+            height=1,
+            width=count,
+            fields=[
+                PointField(
+                    name=name,
+                    offset=offset,
+                    # rgb is declared a float by convention: a viewer looks at its bits.
+                    datatype=PointField.FLOAT32,
+                    count=1,
+                )
+                for name, (_, offset, *_) in POINT.fields.items()
+            ],
+            is_bigendian=False,
+            point_step=POINT.itemsize,
+            row_step=len(self.data),
+            data=array.array('B', self.data),
+            is_dense=True,
+        )
+
+
+def robot_colours(fusion: Fusion) -> Mapping[str, Rgb]:
+    """Colour of every robot that the fusion knows, by name: the same for the same robots."""
+    robots = sorted({item.submap.robot_id for item in fusion.alignments})
+    return dict(zip(robots, colours(len(robots)), strict=True))
+
+
+def make_cloud(fusion: Fusion) -> Cloud:
+    """All points of the published component, catalogues included; several robots' are grey."""
+    found = map_points(fusion)
+    robots = {item.submap.map_id: item.submap.robot_id for item in fusion.alignments}
+    by_robot = robot_colours(fusion)
+    palette = [*(by_robot[robots[map_id]] for map_id in found.map_ids), SHARED]
+    assert SEVERAL == -1  # the last of the palette
+    packed = np.array([(r << 16) | (g << 8) | b for r, g, b in palette], np.uint32)
+    points = np.zeros(len(found), POINT)
+    for k, axis in enumerate('xyz'):
+        points[axis] = found.points_global[:, k]
+    points['rgb'] = packed[found.owners]
+    points['std'] = np.nan
+    if fusion.components:
+        std = fusion.components[0].landmarks.std
+        points['std'][: found.landmark_count] = np.linalg.norm(std, axis=1)
+    points['views'] = found.views
+    return Cloud(points.tobytes())
