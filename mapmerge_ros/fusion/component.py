@@ -11,14 +11,10 @@ import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ids, Mask
 from mapmerge_ros.fusion.associate import Association
-from mapmerge_ros.fusion.compress import (
-    Normal,
-    frame_covariance,
-    most_useful,
-    normal_equations,
-)
+from mapmerge_ros.fusion.compress import Normal, most_useful
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.element import Element, Placement
+from mapmerge_ros.fusion.joint.cost import JointCost, State
+from mapmerge_ros.fusion.joint.knowledge import Knowledge, knowledge
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.names import Names, name_landmarks
 from mapmerge_ros.fusion.outcome import Component, Landmarks, Verdict
@@ -26,7 +22,6 @@ from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.search import search
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue
-from mapmerge_ros.fusion.valley import as_wide_as_it_is
 from mapmerge_ros.fusion.verify import Noise, degrees_of_freedom, pool_noise, verify, verify_merge
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import Source, SubMap, pack
@@ -54,10 +49,9 @@ class Anchor:
 class _Solution:
     """Every landmark and frame of the component, in the global frame; `reduced` as merged."""
 
-    elements: tuple[Element, ...]
-    reduced: tuple[Element, ...]
-    points: Floats
-    placements: tuple[Placement, ...]
+    cost: JointCost
+    reduced: JointCost
+    state: State
     estimate: Estimate
 
 
@@ -90,7 +84,7 @@ def merge_component(
         )
     with stopwatch.measure('test'):
         verdict, examination = verify_merge(
-            solution.reduced, solution.estimate, links, gauge, dof, noise, config
+            solution.reduced.elements(), solution.estimate, links, gauge, dof, noise, config
         )
     with stopwatch.measure('compress'):
         part = _compress(submaps, association, solution, noise, verdict, anchor, config, revision)
@@ -115,16 +109,8 @@ def _solve(
     anchor: Anchor,
     config: FusionConfig,
 ) -> _Solution:
-    elements = tuple(
-        Element.from_submap(submap, tracks, is_shared[tracks], float(weight))
-        for submap, tracks, weight in zip(submaps, association.tracks, noise.weights, strict=True)
-    )
-    shared = np.flatnonzero(is_shared)
-    slots = np.cumsum(is_shared) - 1
-    reduced = [
-        replace(element, tracks=slots[element.tracks])
-        for element in (element.reduced() for element in elements)
-    ]
+    cost = JointCost.of(submaps, association.tracks, is_shared, noise.weights)
+    reduced = cost.reduced()
     estimate = search(
         reduced,
         links,
@@ -132,15 +118,11 @@ def _solve(
         lambda price: verify(price, dof, noise, config).accepted,
         config,
     )
-
-    points = np.full((association.count, 3), np.nan)
-    points[shared] = estimate.points
-    for element in elements:
-        points[element.tracks[~element.is_shared]] = element.recover_private(points)
+    points = cost.recover_private(estimate.points, association.count)
     held = [submap.map_id for submap in submaps].index(anchor.map_id)
-    points = (anchor.S_global_map @ elements[held].place(points).S_map_global).apply(points)
-    placements = tuple(element.place(points) for element in elements)
-    return _Solution(elements, tuple(reduced), points, placements, estimate)
+    S_held_global = cost.evaluate(points).S_map_globals[held]
+    points = (anchor.S_global_map @ S_held_global).apply(points)
+    return _Solution(cost, reduced, cost.evaluate(points), estimate)
 
 
 def _compress(
@@ -153,28 +135,22 @@ def _compress(
     config: FusionConfig,
     revision: int,
 ) -> Merged:
-    normal = normal_equations(
-        solution.elements,
-        solution.points,
-        solution.placements,
-        min(submap.gauge for submap in submaps),
-    )
-    normal, covariance = as_wide_as_it_is(
-        solution.elements, solution.placements, normal, noise.sigma
-    )
+    gauge = min(submap.gauge for submap in submaps)
     names = name_landmarks(submaps, association)
     ids = names.of_tracks(association)
-    S_global_maps = tuple(placement.S_map_global.inverse() for placement in solution.placements)
+    maps_global = solution.state.S_map_globals
+    S_global_maps = tuple(maps_global[k].inverse() for k in range(len(submaps)))
     catalogue = build_catalogue(submaps, S_global_maps, association, names)
     keep = most_useful(np.where(names.nameless, 0, association.views), ids, config.max_landmarks)
     keep &= ~names.nameless
+    known = knowledge(solution.cost, solution.state, gauge, noise.sigma, keep)
     component = Component(
         map_ids=tuple(submap.map_id for submap in submaps),
-        gauge=normal.gauge,
+        gauge=gauge,
         anchor=anchor.map_id,
         submap=_global_submap(
             submaps,
-            normal.without(~keep),
+            known.normal,
             ids[keep],
             catalogue,
             names.id_space,
@@ -183,7 +159,7 @@ def _compress(
             config,
             revision,
         ),
-        landmarks=_landmarks(submaps, association, names, solution.points, covariance),
+        landmarks=_landmarks(submaps, association, names, solution.state.points, known),
         verdict=verdict,
         iterations=solution.estimate.iterations,
         converged=solution.estimate.converged,
@@ -192,11 +168,7 @@ def _compress(
         association=association,
         names=names,
     )
-    covariances = tuple(
-        frame_covariance(element, placement, covariance)
-        for element, placement in zip(solution.elements, solution.placements, strict=True)
-    )
-    return Merged(component, S_global_maps, covariances)
+    return Merged(component, S_global_maps, tuple(known.frames))
 
 
 def _landmarks(
@@ -204,7 +176,7 @@ def _landmarks(
     association: Association,
     names: Names,
     points: Floats,
-    covariance: Floats,
+    known: Knowledge,
 ) -> Landmarks:
     rows = np.concatenate(association.tracks)
     order = np.argsort(rows, kind='stable')
@@ -216,7 +188,7 @@ def _landmarks(
     return Landmarks(
         ids=names.of_tracks(association)[is_named],
         points_global=points[is_named],
-        std=np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, 3)[is_named],
+        std=known.std[is_named],
         member_rows=slots[rows[order]],
         member_maps=tuple(maps[int(k)] for k in order),
         member_ids=member_ids[order],

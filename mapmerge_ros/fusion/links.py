@@ -19,7 +19,7 @@ from mapmerge_ros.fusion.overlap import (
     harmonic,
     link_pair,
 )
-from mapmerge_ros.geometry import Segments, Similarities, align_segments, align_segments_robustly
+from mapmerge_ros.geometry import Segments, align_segments, align_segments_robustly
 from mapmerge_ros.submap import SubMap, alignment_weights
 
 
@@ -137,7 +137,8 @@ def _worst_turns(points_a: Floats, points_b: Floats, segments: Segments) -> list
     with np.errstate(all='ignore'):
         stds = distances / across
     return [
-        Turn(axis, mean, float(std)) for axis, mean, std in zip(axes[:, :, 2], means, stds, strict=True)
+        Turn(axis, mean, float(std))
+        for axis, mean, std in zip(axes[:, :, 2], means, stds, strict=True)
     ]
 
 

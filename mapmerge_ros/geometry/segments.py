@@ -16,7 +16,7 @@ from mapmerge_ros.geometry.similarity import Similarity
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
-    """Rows that belong together, one run after the other: segment k is rows ends[k] to ends[k+1]."""
+    """Rows that belong together: segment k is the rows from ends[k] to ends[k + 1]."""
 
     ends: Ints
     """(n + 1,) ascending from 0; no segment is empty"""

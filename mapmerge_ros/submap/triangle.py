@@ -84,8 +84,9 @@ def factor_information(
     """
     Upper trapezoid R (n - g, n) and c (n - g,) with R'R = information, R'c = gradient.
 
-    `null_basis` (n, g) is orthonormal and spans the null space of the information. Adding it
-    makes the matrix definite; a reflection takes it out of the Cholesky factor again.
+    `null_basis` (n, g) is orthonormal and spans the null space of the information. The first n - g
+    coordinates are factorised as they are, if the last g hold the frame well. Otherwise the null
+    space is added, which makes the matrix definite, and a reflection takes it out of the factor.
 
     Raises
     ------
@@ -93,6 +94,9 @@ def factor_information(
         The information has a smaller rank: some landmark is not determined at all.
 
     """
+    found = _partial_cholesky(information, gradient, null_basis)
+    if found is not None:
+        return found
     weight = _typical(np.diag(information))
     try:
         factor = scipy.linalg.cholesky(
@@ -102,6 +106,33 @@ def factor_information(
         raise DegenerateGeometry(UNDETERMINED) from None
     vector = scipy.linalg.solve_triangular(factor, gradient, trans='T', check_finite=False)
     return _without_gauge(factor, vector, null_basis)
+
+
+MAX_LEVERAGE = 1e3
+"""
+How far a landmark may move where the last coordinates are off by one.
+
+Errors of rounding grow with its square: 1e6 of 1e-16 is still below the float32 of a message.
+"""
+
+
+def _partial_cholesky(
+    information: Floats, gradient: Floats, null_basis: Floats
+) -> tuple[Floats, Floats] | None:
+    """R and c where the last landmarks determine the frame; None where they do so badly."""
+    rank = len(information) - null_basis.shape[1]
+    if rank < 1 or not null_basis.shape[1]:
+        return None
+    try:
+        leverage = np.linalg.solve(null_basis[rank:].T, null_basis[:rank].T)
+        if not np.abs(leverage).max() < MAX_LEVERAGE:
+            return None
+        factor = scipy.linalg.cholesky(information[:rank, :rank], check_finite=False)
+    except np.linalg.LinAlgError:
+        return None
+    right = np.column_stack([information[:rank, rank:], gradient[:rank]])
+    rest = scipy.linalg.solve_triangular(factor, right, trans='T', check_finite=False)
+    return np.column_stack([factor, rest[:, :-1]]), rest[:, -1]
 
 
 def factor_root(root: Floats, vector: Floats, null_basis: Floats) -> tuple[Floats, Floats]:

@@ -119,7 +119,7 @@ class JointCost:
         return int(self.tracks.max()) + 1
 
     def reduced(self) -> JointCost:
-        """Return the cost of the shared landmarks, renumbered, with the private ones at their best."""
+        """Return the cost of the shared landmarks, renumbered; private ones are at their best."""
         if self.is_shared.all():
             return self
         slots = np.cumsum(np.bincount(self.tracks[self.is_shared], minlength=self.count) > 0) - 1
@@ -207,7 +207,7 @@ class JointCost:
         owners, growth = self.segments.owners, self.growth()
         stretches = state.stretches[owners, None]
         weighted = growth * self.weights[:, None]
-        metric = (self.gauges != Gauge.SIMILARITY)[owners, None]
+        metric = 1.0 * (self.gauges != Gauge.SIMILARITY)[owners, None]
         size = self.segments.sums(np.sum(weighted * growth, axis=1))[owners, None]
         left, right = np.zeros((len(growth), 3, 4)), np.zeros((len(growth), 3, 4))
         left[:, :, :3] = (1.0 - stretches)[:, :, None] * np.eye(3)
@@ -223,7 +223,7 @@ class JointCost:
     def gauge_response(self, state: State) -> tuple[Floats, Floats]:
         """G and the transposed response (N'W G)^-1 N'W, (rows, 3, 7); zero where T is not free."""
         owners, growth = self.segments.owners, self.growth()
-        centres = self._means(self.points_map)[owners]
+        centres = self.centres_map()[owners]
         is_free = np.arange(7) < self.gauges[:, None]
         free = is_free[owners][:, None, :]
         tangents = _generators(state.moved - centres) * free
@@ -238,9 +238,13 @@ class JointCost:
             raise DegenerateGeometry('the frame of a sub-map is not determined') from None
         return tangents, constraints @ inverse.transpose(0, 2, 1)[owners]
 
+    def centres_map(self) -> Floats:
+        """Weighted means (maps, 3) of the working points."""
+        return self._means(self.points_map)
+
     def growth(self) -> Floats:
         """Displacement (rows, 3) of the working points per unit of log scale."""
-        growth: Floats = self.points_map - self._means(self.points_map)[self.segments.owners]
+        growth: Floats = self.points_map - self.centres_map()[self.segments.owners]
         return growth
 
     def recover_private(self, shared_points: Floats, count: int) -> Floats:

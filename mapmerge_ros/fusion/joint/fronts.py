@@ -75,7 +75,7 @@ def plan_fronts(
     fronts: list[Front] = []
     boundaries: list[Ints] = []
     waiting: list[int] = []
-    for node, (low, middle, high) in enumerate(tree.spans):
+    for node, (low, _, high) in enumerate(tree.spans):
         leaf = int(tree.order[low]) if high - low == 1 else -1
         children = () if leaf >= 0 else (waiting[-2], waiting[-1])
         parts = [tracks[leaf]] if leaf >= 0 else [boundaries[child] for child in children]
