@@ -84,7 +84,7 @@ def merge_component(
         )
     with stopwatch.measure('test'):
         verdict, examination = verify_merge(
-            solution.reduced.elements(), solution.estimate, links, gauge, dof, noise, config
+            solution.reduced, solution.estimate, links, gauge, dof, noise, config
         )
     with stopwatch.measure('compress'):
         part = _compress(submaps, association, solution, noise, verdict, anchor, config, revision)

@@ -128,7 +128,7 @@ def examine(merge: Quadratic, redundancy: float, *, certain: bool) -> Examinatio
 
     """
     large = len(merge.points) > MAX_TRACKS
-    plain = _by_textbook(merge, redundancy)
+    plain = by_textbook(merge.price, merge.dof, redundancy)
     state = None if large else sensitivity(merge, redundancy)
     gaussian = True
     if state:
@@ -152,10 +152,11 @@ def _usual(statistics: Floats) -> float:
     return max(1.0, float(np.median(statistics)) / MEDIAN_CHI2) if len(statistics) else 1.0
 
 
-def _by_textbook(merge: Quadratic, redundancy: float) -> Examination:
-    p_value = float(tail(np.array(merge.price), merge.dof, redundancy)) if merge.dof > 0 else 1.0
+def by_textbook(price: float, dof: int, redundancy: float) -> Examination:
+    """Examination that looks at the price alone, in units of σ²."""
+    p_value = float(tail(np.array(price), dof, redundancy)) if dof > 0 else 1.0
     nobody = np.zeros(0, np.int64)
-    return Examination(None, (), nobody, None, None, merge.price, merge.dof, 1.0, p_value)
+    return Examination(None, (), nobody, None, None, price, dof, 1.0, p_value)
 
 
 def _under_model(

@@ -47,6 +47,19 @@ class Segments:
         """Sum over each segment, (rows, ...) to (n, ...)."""
         return np.asarray(np.add.reduceat(values, self.ends[:-1], axis=0))
 
+    def counts(self, chosen: Mask) -> Ints:
+        """How many rows of each segment are chosen, (n,)."""
+        return np.asarray(np.add.reduceat(chosen.astype(np.int64), self.ends[:-1]))
+
+    def products(self, left: Floats, right: Floats) -> Floats:
+        """A'B of each segment, from its rows of (rows, 3, a) and (rows, 3, b): (n, a, b)."""
+        a, b = left.shape[2], right.shape[2]
+        products = np.empty((len(self), a, b))
+        for k in range(len(self)):
+            rows = self.rows(k)
+            products[k] = left[rows].reshape(-1, a).T @ right[rows].reshape(-1, b)
+        return products
+
     def medians(self, values: Floats) -> Floats:
         """Median (n,) of the values (rows,) of each segment."""
         ordered = values[np.lexsort((values, self.owners))]
@@ -137,7 +150,7 @@ def align_segments(
         moved = factors[:, None] * np.einsum('nij,nj->ni', rotations, source_means)
         translations = np.where(gauges[:, None] == Gauge.NONE, 0.0, target_means - moved)
         minimal = np.array([Gauge(int(gauge)).minimal_points for gauge in gauges])
-        determined &= segments.sums((weights > 0.0).astype(np.int64)) >= minimal
+        determined &= segments.counts(weights > 0.0) >= minimal
         determined &= (
             (factors > 0.0) & np.isfinite(factors) & np.isfinite(translations).all(axis=1)
         )
@@ -168,7 +181,7 @@ def align_segments_robustly(
 
 def _rotations(correlations: Floats, gauges: Ints, extents: Floats) -> tuple[Floats, Mask]:
     """Rotations (n, 3, 3) that maximise tr(R' correlation), and which of them are determined."""
-    finite = np.isfinite(correlations).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(correlations).all(axis=(1, 2)))
     safe = np.where(finite[:, None, None], correlations, np.eye(3))
     left, spreads, right = np.linalg.svd(safe)
     handed = np.ones((len(safe), 3))

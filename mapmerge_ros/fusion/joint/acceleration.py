@@ -34,15 +34,15 @@ class Acceleration:
         current = (points, gradient, step)
         if self._last is not None:
             moved, bent, changed = (a - b for a, b in zip(current, self._last, strict=True))
-            self._differences = [*self._differences[-MEMORY + 1 :], (moved, bent, changed)]
+            self._differences = [*self._differences[1 - MEMORY :], (moved, bent, changed)]
         self._last = current
         if not self._differences:
             return step
         # In the norm of M: M applied to a change of steps is minus the change of gradients.
         inner = [[-np.sum(a[2] * b[1]) for b in self._differences] for a in self._differences]
         right = [-np.sum(a[2] * gradient) for a in self._differences]
-        shares = np.linalg.lstsq(np.array(inner), np.array(right), rcond=1e-10)[0]
-        improved = step.copy()
+        shares = np.linalg.lstsq(np.array(inner), np.array(right), rcond=1e-10)[0].tolist()
+        improved: Floats = step
         for share, (moved, _, changed) in zip(shares, self._differences, strict=True):
-            improved -= share * (moved + changed)
+            improved = improved - share * (moved + changed)
         return improved

@@ -30,14 +30,9 @@ class Root:
     """(k,)"""
     weight: float
 
-    def residuals(self, displacement: Floats) -> Floats:
-        """Weighted R d + c (k,) for a displacement (s, 3) from the working point."""
-        residuals: Floats = self.dense() @ displacement.ravel() + self.c
-        return np.sqrt(self.weight) * residuals
-
     def dense(self) -> Floats:
         """R in float64, not weighted."""
-        return self.r.astype(np.float64, copy=False)
+        return np.asarray(self.r, np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +121,7 @@ class JointCost:
         shared = self.is_shared
         return JointCost(
             gauges=self.gauges,
-            segments=Segments.of_lengths(self.segments.sums(shared.astype(np.int64))),
+            segments=Segments.of_lengths(self.segments.counts(shared)),
             tracks=slots[self.tracks[shared]],
             points_map=self.points_map[shared],
             weights=self.weights[shared],
@@ -178,9 +173,9 @@ class JointCost:
     def gradient(self, state: State) -> Floats:
         """Half the derivative (tracks, 3) of the cost by the global landmarks."""
         low_rank, owners = self.low_rank(state), self.segments.owners
-        pulled = self.segments.sums(np.einsum('mia,mi->ma', low_rank.left, state.slopes))
+        pulled = self.segments.products(low_rank.left, state.slopes[:, :, None])
         slopes = state.stretches[owners, None] * state.slopes
-        slopes += np.einsum('mia,ma->mi', low_rank.right, pulled[owners])
+        slopes += (low_rank.right @ pulled[owners])[:, :, 0]
         turned = np.einsum('mi,mij->mj', slopes, state.S_map_globals.linear()[owners])
         size = len(state.points)
         return np.column_stack(
@@ -195,7 +190,7 @@ class JointCost:
         right = (low_rank.right[rows].transpose(0, 2, 1) @ linear).transpose(0, 2, 1)
         r, weight = root.dense(), np.sqrt(root.weight)
         turned = r.reshape(-1, 3) @ (weight * state.stretches[k] * linear)
-        jacobian = turned.reshape(r.shape)
+        jacobian: Floats = turned.reshape(r.shape)
         jacobian += weight * (r @ left) @ right.reshape(root.r.shape[1], -1).T
         return jacobian
 
@@ -214,7 +209,7 @@ class JointCost:
         left[:, :, 3] = metric * (state.moved - state.centres[owners] - growth / stretches)
         right[:, :, :3] = self._shares()[:, None, None] * np.eye(3)
         right[:, :, 3] = -metric * stretches**2 / size * weighted
-        inner = self.segments.sums(np.einsum('mia,mib->mab', right, tangents))[owners]
+        inner = self.segments.products(right, tangents)[owners]
         through = -stretches[:, :, None] * tangents - left @ inner
         return LowRank(
             np.concatenate([left, through], axis=2), np.concatenate([right, responses], axis=2)
@@ -228,9 +223,7 @@ class JointCost:
         free = is_free[owners][:, None, :]
         tangents = _generators(state.moved - centres) * free
         constraints = _generators(growth) * self.weights[:, None, None] * free
-        rows = tangents.shape[0]
-        product = np.einsum('mia,mib->mab', constraints, tangents).reshape(rows, 49)
-        inner = self.segments.sums(product).reshape(-1, 7, 7)
+        inner = self.segments.products(constraints, tangents)
         inner[:, range(7), range(7)] += ~is_free
         try:
             inverse = np.linalg.inv(inner)
@@ -251,7 +244,7 @@ class JointCost:
         """All landmarks (count, 3), the private ones where they are best for given shared ones."""
         points = np.full((count, 3), np.nan)
         points[np.unique(self.tracks[self.is_shared])] = shared_points
-        for k in np.flatnonzero(self.segments.sums((~self.is_shared).astype(np.int64)) > 0):
+        for k in np.flatnonzero(self.segments.counts(~self.is_shared) > 0):
             element = self.element(int(k))
             points[element.tracks[~element.is_shared]] = element.recover_private(points)
         return points

@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import get_blas_funcs, get_lapack_funcs
+from scipy.linalg.blas import dsyrk, dtrsm, dtrsv
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.fusion.joint.fronts import Front, Fronts, Run
@@ -48,12 +49,11 @@ class Factor:
     def forward(self, right: Floats) -> Floats:
         """Eliminate: rows of eliminated coordinates are L⁻¹ right, the others what is left."""
         solved = np.array(right.reshape(len(right), -1), order='F')
-        (trsm,) = get_blas_funcs(('trsm',), (solved,))
         for front, block in zip(self.fronts.fronts, self.blocks, strict=False):
             k = front.eliminated
             if not k:
                 continue
-            own = trsm(1.0, block.diagonal, solved[front.rows[:k]], lower=1)
+            own = _solve_lower(block.diagonal, solved[front.rows[:k]])
             solved[front.rows[:k]] = own
             solved[front.rows[k:]] -= block.below @ own
         return solved.reshape(right.shape)
@@ -61,13 +61,12 @@ class Factor:
     def backward(self, right: Floats) -> Floats:
         """Substitute back from the root to the leaves."""
         solved = right.reshape(len(right), -1).copy(order='F')
-        (trsm,) = get_blas_funcs(('trsm',), (solved,))
         for front, block in zip(reversed(self._eliminating()), reversed(self.blocks), strict=True):
             k = front.eliminated
             if not k:
                 continue
             own = solved[front.rows[:k]] - block.below.T @ solved[front.rows[k:]]
-            solved[front.rows[:k]] = trsm(1.0, block.diagonal, own, lower=1, trans_a=1)
+            solved[front.rows[:k]] = _solve_lower(block.diagonal, own, transposed=1)
         return solved.reshape(right.shape)
 
     def inverse_blocks(self) -> Iterator[tuple[Front, Floats]]:
@@ -141,27 +140,30 @@ def _assemble(front: Front, updates: dict[int, Floats]) -> tuple[Floats, Floats,
 def _eliminate(pivot: Floats, below: Floats, rest: Floats) -> tuple[Block, Floats]:
     if not len(pivot):
         return Block(pivot, below), rest
-    (potrf,) = get_lapack_funcs(('potrf',), (pivot,))
-    diagonal, failed = potrf(pivot, lower=1, clean=0, overwrite_a=1)
+    diagonal, failed = dpotrf(pivot, lower=1, clean=0, overwrite_a=1)
     if failed or not np.isfinite(np.diag(diagonal)).all():
         raise np.linalg.LinAlgError('a front is not positive definite')
     if len(below):
-        trsm, syrk = get_blas_funcs(('trsm', 'syrk'), (pivot,))
-        below = trsm(1.0, diagonal, below, side=1, lower=1, trans_a=1, overwrite_b=1)
-        rest = syrk(-1.0, below, beta=1.0, c=rest, lower=1, overwrite_c=1)
+        below = dtrsm(1.0, diagonal, below, side=1, lower=1, trans_a=1, overwrite_b=1)
+        rest = dsyrk(-1.0, below, beta=1.0, c=rest, lower=1, overwrite_c=1)
     return Block(diagonal, below), rest
+
+
+def _solve_lower(lower: Floats, right: Floats, transposed: int = 0) -> Floats:
+    """L⁻¹ or L'⁻¹ times right-hand sides (k, m)."""
+    if right.shape[1] == 1:
+        return np.asarray(dtrsv(lower, right[:, 0], lower=1, trans=transposed))[:, None]
+    return np.asarray(dtrsm(1.0, lower, right, lower=1, trans_a=transposed))
 
 
 def _inverse(block: Block, boundary: Floats) -> Floats:
     """Inverse (k + b, k + b) of a front from that of its boundary (b, b), both full."""
     k, b = len(block.diagonal), len(boundary)
-    (potri,) = get_lapack_funcs(('potri',), (block.diagonal,))
     inverse = np.empty((k + b, k + b), order='F')
-    lower = potri(block.diagonal, lower=1)[0]
+    lower = dpotri(block.diagonal, lower=1)[0]
     own = np.tril(lower) + np.tril(lower, -1).T
     if b:
-        (trsm,) = get_blas_funcs(('trsm',), (block.below,))
-        coupling = trsm(1.0, block.diagonal, block.below, side=1, lower=1)
+        coupling = dtrsm(1.0, block.diagonal, block.below, side=1, lower=1)
         pulled = boundary @ coupling
         own += coupling.T @ pulled
         inverse[k:, :k], inverse[:k, k:] = -pulled, -pulled.T

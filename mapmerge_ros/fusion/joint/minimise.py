@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Ints, Mask
+from mapmerge_ros.arrays import Floats, Mask
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.joint.acceleration import Acceleration
@@ -160,7 +160,7 @@ def gauss_newton(
 def _middle(cost: JointCost, points: Floats) -> int:
     """Map nearest to the middle of all, among those with many landmarks."""
     segments = cost.segments
-    shared: Ints = segments.sums((cost.weights > 0.0).astype(np.int64))
+    shared = segments.counts(cost.weights > 0.0)
     places = segments.sums(points[cost.tracks]) / segments.lengths[:, None]
     distances = np.linalg.norm(places - np.median(places, axis=0), axis=1)
     distances[shared < np.median(shared)] = np.inf

@@ -68,7 +68,7 @@ def _steps(cost: JointCost, frames: Similarities, free: Mask) -> Floats:
     owners = cost.segments.owners
     tangents = generators(placed, Gauge.SIMILARITY) * free[owners][:, None, :]
     weighted = weights[:, None, None] * tangents
-    own = cost.segments.sums(np.einsum('mia,mib->mab', weighted, tangents))
+    own = cost.segments.products(weighted, tangents)
     own[:, range(7), range(7)] += ~free
     sums = _by_track(cost, weighted)
     totals = np.repeat(np.bincount(cost.tracks, weights=weights), 3)
@@ -82,9 +82,10 @@ def _by_track(cost: JointCost, values: Floats) -> scipy.sparse.csr_array:
     """Values (rows, 3, 7) as a matrix (3 tracks, 7 maps)."""
     rows = 3 * cost.tracks[:, None, None] + np.arange(3)[:, None]
     columns = 7 * cost.segments.owners[:, None, None] + np.arange(7)
-    places = (part.ravel() for part in np.broadcast_arrays(rows, columns))
+    at, where = (part.ravel() for part in np.broadcast_arrays(rows, columns))
     matrix = scipy.sparse.csr_array(
-        (values.ravel(), tuple(places)), shape=(3 * cost.count, 7 * len(cost))
+        (np.asarray(values, np.float64).ravel(), (at, where)),
+        shape=(3 * cost.count, 7 * len(cost)),
     )
     matrix.eliminate_zeros()
     return matrix
