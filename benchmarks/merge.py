@@ -3,7 +3,7 @@
 """
 The merge against the full bundle, from 4 to 1024 drones: time, memory, error to the truth.
 
-    python benchmarks/merge.py [S1 S2 …] [--full] [--cache DIR] [--repeat N] [--out FILE]
+    python benchmarks/merge.py [S1 S2 …] [--full] [--cache DIR] [--repeat N] [--page FILE]
 
 Each measurement runs in a process of its own with one BLAS thread. CPU time is reported beside
 wall time: on a busy machine only the former says something. `--full` bundles S3 too.
@@ -36,6 +36,8 @@ from mapmerge_ros.fusion.verify import pool_noise, verify
 from mapmerge_ros.geometry import Gauge, align
 
 THREADS = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
+
+MARK = '<!-- table of benchmarks/merge.py -->\n'
 
 KINDS = ('nothing', 'merge', 'fuse', 'bundle')
 
@@ -92,8 +94,8 @@ def run_merge(load: Workload) -> dict[str, Any]:
         'knowledge_cpu_s': knows['cpu_s'],
         'iterations': merged.iterations,
         'variance_factor': verdict.variance_factor,
-        'rmse_m': rmse_to_truth(merged.points, load.points_world(ids)),
-        'landmarks': len(ids),
+        'rmse_m': rmse_to_truth(merged.points, load.points_world(ids[is_shared])),
+        'landmarks': len(merged.points),
     }
 
 
@@ -174,7 +176,8 @@ def table(results: dict[str, dict[str, Any]]) -> str:
     """Markdown of all results, with growth exponents between neighbours."""
     lines = [
         '| | drones | shared | merge CPU [s] | exponent | std and R̄ CPU [s] '
-        '| all of `fuse` CPU [s] | peak of `fuse` [MB] | full bundle CPU [s] | bundle : merge | RMSE merge : bundle |',
+        '| all of `fuse` CPU [s] | peak of `fuse` [MB] '
+        '| full bundle CPU [s] | bundle : merge | RMSE merge : bundle |',
         '|---|---|---|---|---|---|---|---|---|---|---|',
     ]
     last: tuple[int, float] | None = None
@@ -214,6 +217,7 @@ def main() -> None:
     parser.add_argument('--cache', type=Path, default=Path('build/workloads'))
     parser.add_argument('--repeat', type=int, default=5)
     parser.add_argument('--out', type=Path, help='JSON of all results')
+    parser.add_argument('--page', type=Path, help='Markdown whose table at the end is renewed')
     parser.add_argument('--run', choices=KINDS, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.run:
@@ -229,6 +233,9 @@ def main() -> None:
         results[name] = {kind: measure(kind, name, args.cache, repeat[kind]) for kind in kinds}
         print(json.dumps({name: results[name]}), file=sys.stderr)
     print(table(results))
+    if args.page:
+        head = args.page.read_text().partition(MARK)[0]
+        args.page.write_text(f'{head}{MARK}\n{table(results)}\n')
     if args.out:
         args.out.write_text(json.dumps(results, indent=1) + '\n')
 

@@ -252,5 +252,5 @@ def test_a_plan_holds_the_kept_landmarks_at_the_root(fleets):
     keep = np.arange(len(points)) % 4 == 0
     root = plan(cost, points, keep).fronts[-1]
     kept = (3 * np.flatnonzero(keep)[:, None] + np.arange(3)).ravel()
-    np.testing.assert_array_equal(root.rows, kept)
+    np.testing.assert_array_equal(np.sort(root.rows), kept)
     assert root.eliminated == len(kept)

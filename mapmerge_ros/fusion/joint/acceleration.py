@@ -41,8 +41,7 @@ class Acceleration:
         # In the norm of M: M applied to a change of steps is minus the change of gradients.
         inner = [[-np.sum(a[2] * b[1]) for b in self._differences] for a in self._differences]
         right = [-np.sum(a[2] * gradient) for a in self._differences]
-        shares = np.linalg.lstsq(np.array(inner), np.array(right), rcond=1e-10)[0].tolist()
-        improved: Floats = step
-        for share, (moved, _, changed) in zip(shares, self._differences, strict=True):
-            improved = improved - share * (moved + changed)
+        shares = np.linalg.lstsq(np.array(inner), np.array(right), rcond=1e-10)[0]
+        ways = np.array([moved + changed for moved, _, changed in self._differences])
+        improved: Floats = step - np.tensordot(shares, ways, axes=1)
         return improved

@@ -11,9 +11,8 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Mask
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.compress import Normal
-from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.joint.cost import JointCost, State
-from mapmerge_ros.fusion.joint.factor import Factor, factorise
+from mapmerge_ros.fusion.joint.factor import factorise
 from mapmerge_ros.fusion.joint.fronts import Front
 from mapmerge_ros.fusion.joint.minimise import gauss_newton, plan
 from mapmerge_ros.geometry import Gauge, Similarity, gauge_basis
@@ -82,13 +81,10 @@ def schur_complement(cost: JointCost, state: State, keep: Mask, gauge: Gauge) ->
     except np.linalg.LinAlgError:
         raise DegenerateGeometry('a merged landmark is not determined') from None
     assert factor.root is not None
-    kept = coordinates(np.flatnonzero(keep))
-    gradient = _reduced(factor, cost.gradient(state))[kept]
-    return Normal(state.points[keep], factor.root, gradient, gauge)
-
-
-def _reduced(factor: Factor, gradient: Floats) -> Floats:
-    return factor.forward(gradient.ravel())
+    rows = fronts.fronts[-1].rows
+    order = np.argsort(rows)
+    gradient = factor.forward(cost.gradient(state).ravel())[rows[order]]
+    return Normal(state.points[keep], factor.root[np.ix_(order, order)], gradient, gauge)
 
 
 def _take_landmarks(front: Front, free: Floats, landmarks: Floats) -> None:

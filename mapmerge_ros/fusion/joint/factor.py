@@ -27,7 +27,7 @@ class Block:
     """What elimination at one front leaves: [L 0; M I] times its transpose."""
 
     diagonal: Floats
-    """L (k, k) lower triangle"""
+    """L (k, k)"""
     below: Floats
     """M (b, k)"""
 
@@ -40,7 +40,7 @@ class Factor:
     blocks: tuple[Block, ...]
     """Per front; where the root is kept it has none"""
     root: Floats | None = None
-    """(n, n) what is left of the matrix for the landmarks at the root, when kept"""
+    """(n, n) what is left of the matrix for the rows of the root's front, when kept"""
 
     def solve(self, right: Floats) -> Floats:
         """Solve for right-hand sides (size, m)."""
@@ -110,8 +110,7 @@ def factorise(fronts: Fronts, elements: Elements, *, keep_root: bool = False) ->
         else:
             pivot, below, rest = _assemble(front, updates)
         if keep_root and node == len(fronts.fronts) - 1:
-            lower = np.tril(pivot)
-            return Factor(fronts, tuple(blocks), lower + np.tril(pivot, -1).T)
+            return Factor(fronts, tuple(blocks), np.tril(pivot) + np.tril(pivot, -1).T)
         block, updates[node] = _eliminate(pivot, below, rest)
         blocks.append(block)
     return Factor(fronts, tuple(blocks))
@@ -140,7 +139,7 @@ def _assemble(front: Front, updates: dict[int, Floats]) -> tuple[Floats, Floats,
 def _eliminate(pivot: Floats, below: Floats, rest: Floats) -> tuple[Block, Floats]:
     if not len(pivot):
         return Block(pivot, below), rest
-    diagonal, failed = dpotrf(pivot, lower=1, clean=0, overwrite_a=1)
+    diagonal, failed = dpotrf(pivot, lower=1, clean=1, overwrite_a=1)
     if failed or not np.isfinite(np.diag(diagonal)).all():
         raise np.linalg.LinAlgError('a front is not positive definite')
     if len(below):
@@ -161,7 +160,8 @@ def _inverse(block: Block, boundary: Floats) -> Floats:
     k, b = len(block.diagonal), len(boundary)
     inverse = np.empty((k + b, k + b), order='F')
     lower = dpotri(block.diagonal, lower=1)[0]
-    own = np.tril(lower) + np.tril(lower, -1).T
+    own = lower + lower.T
+    own[range(k), range(k)] *= 0.5
     if b:
         coupling = dtrsm(1.0, block.diagonal, block.below, side=1, lower=1)
         pulled = boundary @ coupling

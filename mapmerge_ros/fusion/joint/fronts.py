@@ -63,12 +63,12 @@ def plan_fronts(
     Fronts for maps with landmarks `tracks` (one array each) out of `count`.
 
     With `last` (count,), those landmarks are eliminated after all others, in a front of their own
-    at the root, in the order of their numbers.
+    at the root.
     """
     node_of = _eliminated_at(tree, tracks, count)
     if last is not None:
         node_of = np.where(last, len(tree.spans), node_of)
-    by_rank = _order(tree, tracks, node_of, last)
+    by_rank = _order(tree, tracks, node_of)
     rank = np.empty(count, np.int64)
     rank[by_rank] = np.arange(count)
     numbers = _Numbers(node_of, rank, by_rank)
@@ -125,7 +125,7 @@ def _eliminated_at(tree: Tree, tracks: Sequence[Ints], count: int) -> Ints:
     return node_of
 
 
-def _order(tree: Tree, tracks: Sequence[Ints], node_of: Ints, last: Mask | None) -> Ints:
+def _order(tree: Tree, tracks: Sequence[Ints], node_of: Ints) -> Ints:
     """Landmarks by node, those of the same maps side by side: so runs are long."""
     count = len(node_of)
     first, final, total = (np.zeros(count, np.int64) for _ in range(3))
@@ -134,9 +134,6 @@ def _order(tree: Tree, tracks: Sequence[Ints], node_of: Ints, last: Mask | None)
         total[tracks[k]] += place * place + 1
     for place, k in reversed(list(enumerate(tree.order))):
         first[tracks[k]] = place
-    if last is not None:
-        for key in (first, final, total):
-            key[last] = 0
     return np.lexsort((np.arange(count), total, final, first, node_of))
 
 
