@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,6 +20,12 @@ class Segments:
 
     ends: Ints
     """(n + 1,) ascending from 0; no segment is empty"""
+    owners: Ints = field(init=False)
+    """(rows,) segment of each row"""
+
+    def __post_init__(self) -> None:
+        owners = np.repeat(np.arange(len(self)), self.lengths)
+        object.__setattr__(self, 'owners', owners)
 
     @classmethod
     def of_lengths(cls, lengths: Ints | list[int]) -> Segments:
@@ -33,11 +39,6 @@ class Segments:
     def lengths(self) -> Ints:
         """(n,)"""
         return np.diff(self.ends)
-
-    @property
-    def owners(self) -> Ints:
-        """(rows,) segment of each row."""
-        return np.repeat(np.arange(len(self)), self.lengths)
 
     def rows(self, k: int) -> slice:
         """Rows of one segment."""

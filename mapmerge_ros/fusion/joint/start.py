@@ -24,6 +24,9 @@ from mapmerge_ros.geometry import Gauge, Similarities, Similarity, generators
 STEPS = 3
 """Gauss-Newton steps over the frames; the merge needs its basin, not this optimum."""
 
+SETTLED = 1e-3
+"""Largest turn [rad] and growth of a step after which no other is worth its time."""
+
 
 def initial_points(
     cost: JointCost, S_centre_maps: Mapping[int, Similarity], centre: int
@@ -44,6 +47,8 @@ def initial_points(
         if not np.isfinite(steps).all() or np.abs(steps[:, 6]).max() > 1.0:
             break  # links too weak for a system of all frames: the tree's frames have to do
         frames = _moved(frames, steps)
+        if np.abs(steps[:, 3:]).max() < SETTLED:
+            break
     return _mean(cost, frames, _weights(cost, frames))
 
 
