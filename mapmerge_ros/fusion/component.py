@@ -116,7 +116,7 @@ class _State:
                 before,
                 submaps,
                 solution.rows,
-                self.solution.points,
+                self.solution.state.points,
                 self.solution.S_global_estimate,
                 names,
             )
@@ -162,7 +162,7 @@ class _Task:
         """Merge again without it; None if nothing is, or too much for the rest to be believed."""
         if state.examination is None:
             return None
-        members = members_of(state.solution.reduced)
+        members = members_of(state.solution.reduced.elements())
         before = max((int(off.objects.max()) for off, _, _ in state.taken_out), default=0)
         off = find_off(state.examination, members, self.submaps, before)
         if not len(off) or not off.believable:

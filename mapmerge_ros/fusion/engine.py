@@ -21,6 +21,7 @@ from mapmerge_ros.fusion.catalogues import Tracks
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.copies import without_copies
 from mapmerge_ros.fusion.groups import Problem, merge_groups
+from mapmerge_ros.fusion.links import find_links
 from mapmerge_ros.fusion.outcome import (
     Contradiction,
     Fusion,
@@ -28,7 +29,7 @@ from mapmerge_ros.fusion.outcome import (
     Pair,
     Timing,
 )
-from mapmerge_ros.fusion.overlap import Link, find_links
+from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.requests import Denial, plan_requests
 from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.fusion.states import aligned, left_out

@@ -73,7 +73,7 @@ EuRoC has up to 13 % if its bad tracks are compressed as well, Caliterra 8 %.
 TESTED_FIRST = 0.05
 """p-value of the textbook from which nothing else is fitted, if the landmarks look Gaussian."""
 
-MAX_TRACKS = 1000
+MAX_TRACKS = 650
 """
 Merged landmarks up to which single ones are tested and objects looked for.
 
@@ -134,7 +134,7 @@ def examine(merge: Quadratic, redundancy: float, *, certain: bool) -> Examinatio
 
     """
     large = len(merge.points) > MAX_TRACKS
-    plain = _by_textbook(merge, redundancy)
+    plain = by_textbook(merge.price, merge.dof, redundancy)
     state = None if large else sensitivity(merge, redundancy)
     gaussian = True
     if state:
@@ -158,11 +158,10 @@ def _usual(statistics: Floats) -> float:
     return max(1.0, float(np.median(statistics)) / MEDIAN_CHI2) if len(statistics) else 1.0
 
 
-def _by_textbook(merge: Quadratic, redundancy: float) -> Examination:
-    p_value = float(tail(np.array(merge.price), merge.dof, redundancy)) if merge.dof > 0 else 1.0
-    return Examination(
-        None, (), NOBODY, None, None, merge.price, merge.dof, 1.0, p_value, doubtful=NOBODY
-    )
+def by_textbook(price: float, dof: int, redundancy: float) -> Examination:
+    """Examination that looks at the price alone, in units of σ²."""
+    p_value = float(tail(np.array(price), dof, redundancy)) if dof > 0 else 1.0
+    return Examination(None, (), NOBODY, None, None, price, dof, 1.0, p_value, doubtful=NOBODY)
 
 
 def _with_doubtful(plain: Examination, state: Sensitivity) -> Examination:

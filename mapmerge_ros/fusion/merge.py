@@ -4,7 +4,8 @@
 The joint merge: all landmarks and all frames at once (eq. 9, with c and weights).
 
 With the gauge as a hard constraint every T_k is a closed-form function of the landmarks, so
-that only the shared landmarks are iterated.
+that only the shared landmarks are iterated. This is the plain, dense form, against which
+`joint.minimise` is tested; its `assemble` serves regions that bend.
 """
 
 from __future__ import annotations

@@ -11,18 +11,13 @@ import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ids
 from mapmerge_ros.fusion.associate import Association
-from mapmerge_ros.fusion.compress import (
-    Normal,
-    frame_covariance,
-    most_useful,
-    normal_equations,
-)
+from mapmerge_ros.fusion.compress import Normal, most_useful
 from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.joint.knowledge import Knowledge, knowledge
 from mapmerge_ros.fusion.names import Names, name_landmarks
 from mapmerge_ros.fusion.outcome import Component, Landmarks, Verdict
 from mapmerge_ros.fusion.solution import Anchor, Solution
 from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue
-from mapmerge_ros.fusion.valley import as_wide_as_it_is
 from mapmerge_ros.fusion.verify import Noise
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import Source, SubMap, pack
@@ -49,28 +44,22 @@ def compress_component(
     revision: int,
 ) -> Merged:
     """Compress a merged component again, all frames eliminated."""
-    normal = normal_equations(
-        solution.elements,
-        solution.points,
-        solution.placements,
-        min(submap.gauge for submap in submaps),
-    )
-    normal, covariance = as_wide_as_it_is(
-        solution.elements, solution.placements, normal, noise.sigma
-    )
+    gauge = min(submap.gauge for submap in submaps)
     names = name_landmarks(submaps, association)
     ids = names.of_tracks(association)
-    S_global_maps = tuple(placement.S_map_global.inverse() for placement in solution.placements)
+    maps_global = solution.state.S_map_globals
+    S_global_maps = tuple(maps_global[k].inverse() for k in range(len(submaps)))
     catalogue = build_catalogue(submaps, S_global_maps, association, names)
     keep = most_useful(np.where(names.nameless, 0, association.views), ids, config.max_landmarks)
     keep &= ~names.nameless
+    known = knowledge(solution.cost, solution.state, gauge, noise.sigma, keep)
     component = Component(
         map_ids=tuple(submap.map_id for submap in submaps),
-        gauge=normal.gauge,
+        gauge=gauge,
         anchor=anchor.map_id,
         submap=_global_submap(
             submaps,
-            normal.without(~keep),
+            known.normal,
             ids[keep],
             catalogue,
             names.id_space,
@@ -79,7 +68,7 @@ def compress_component(
             config,
             revision,
         ),
-        landmarks=_landmarks(submaps, association, names, solution.points, covariance),
+        landmarks=_landmarks(submaps, association, names, solution.state.points, known),
         verdict=verdict,
         iterations=solution.estimate.iterations,
         converged=solution.estimate.converged,
@@ -88,11 +77,7 @@ def compress_component(
         association=association,
         names=names,
     )
-    covariances = tuple(
-        frame_covariance(element, placement, covariance)
-        for element, placement in zip(solution.elements, solution.placements, strict=True)
-    )
-    return Merged(component, S_global_maps, covariances)
+    return Merged(component, S_global_maps, tuple(known.frames))
 
 
 def _landmarks(
@@ -100,7 +85,7 @@ def _landmarks(
     association: Association,
     names: Names,
     points: Floats,
-    covariance: Floats,
+    known: Knowledge,
 ) -> Landmarks:
     rows = np.concatenate(association.tracks)
     order = np.argsort(rows, kind='stable')
@@ -112,7 +97,7 @@ def _landmarks(
     return Landmarks(
         ids=names.of_tracks(association)[is_named],
         points_global=points[is_named],
-        std=np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, 3)[is_named],
+        std=known.std[is_named],
         member_rows=slots[rows[order]],
         member_maps=tuple(maps[int(k)] for k in order),
         member_ids=member_ids[order],

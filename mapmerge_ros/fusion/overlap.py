@@ -16,7 +16,7 @@ from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.geometry import Gauge, Similarity, align, align_robustly
-from mapmerge_ros.submap import SubMap, alignment_weights
+from mapmerge_ros.submap import SubMap
 
 MIN_TO_JUDGE = 8
 """Common landmarks below which the median distance says nothing about a single one."""
@@ -49,16 +49,6 @@ class Link:
     """Rotation that the pair determines worst; None when the link is not usable"""
     contradicting: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
     """Tracks that these two sub-maps place too far apart to be one point"""
-
-
-def find_links(
-    submaps: Sequence[SubMap], association: Association, config: FusionConfig
-) -> tuple[Link, ...]:
-    """All pairs with common landmarks, aligned pairwise where that is possible."""
-    counts = association.shared_counts()
-    weights = [alignment_weights(submap.triangle()) for submap in submaps]
-    pairs = zip(*np.nonzero(np.triu(counts, 1)), strict=True)
-    return tuple(_link(submaps, association, weights, (int(a), int(b)), config) for a, b in pairs)
 
 
 def components(count: int, links: Sequence[Link]) -> tuple[tuple[int, ...], ...]:
@@ -119,13 +109,14 @@ def _length(link: Link) -> float:
     return (variance + 1e-9) / link.shared
 
 
-def _link(
+def link_pair(
     submaps: Sequence[SubMap],
     association: Association,
     weights: Sequence[Floats],
     pair: tuple[int, int],
     config: FusionConfig,
 ) -> Link:
+    """Link of two sub-maps, and why it is none; `weights` holds those of all sub-maps."""
     a, b = pair
     common, rows_a, rows_b = np.intersect1d(
         association.tracks[a], association.tracks[b], assume_unique=True, return_indices=True
@@ -137,7 +128,7 @@ def _link(
     gauge = max(submaps[a].gauge, submaps[b].gauge)
     try:
         ratio = align(points_a, points_b, gauge=gauge).S_target_source.scale
-        precision = _harmonic(weights[a][rows_a], weights[b][rows_b] / ratio**2)
+        precision = harmonic(weights[a][rows_a], weights[b][rows_b] / ratio**2)
         S_a_b = align_robustly(points_a, points_b, gauge=gauge, weights=precision).S_target_source
     except DegenerateGeometry as err:
         return Link(a, b, len(common), None, str(err))
@@ -170,7 +161,7 @@ def _contradictions(
     return np.asarray(significant & (distances > config.contradiction_extent * extent))
 
 
-def _harmonic(weights_a: Floats, weights_b: Floats) -> Floats:
+def harmonic(weights_a: Floats, weights_b: Floats) -> Floats:
     """Weight of a difference; zero where one side is not determined at all."""
     total = weights_a + weights_b
     return np.divide(weights_a * weights_b, total, out=np.zeros_like(total), where=total > 0.0)

@@ -11,9 +11,10 @@ import numpy as np
 
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.element import Element
-from mapmerge_ros.fusion.initialise import initial_points
-from mapmerge_ros.fusion.merge import Estimate, merge
+from mapmerge_ros.fusion.joint.cost import JointCost
+from mapmerge_ros.fusion.joint.minimise import minimise
+from mapmerge_ros.fusion.joint.start import initial_points
+from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.overlap import Link, components, spanning_tree
 from mapmerge_ros.geometry import Gauge, Similarity
 
@@ -29,7 +30,7 @@ TWISTS = (1.0, -1.0, 2.0, -2.0)
 
 
 def search(
-    elements: Sequence[Element],
+    cost: JointCost,
     links: Sequence[Link],
     gauge: Gauge,
     believed: Callable[[float], bool],
@@ -47,18 +48,17 @@ def search(
         No start leads to a merge.
 
     """
-    gauges = [element.gauge for element in elements]
-    count = int(max(element.tracks.max() for element in elements)) + 1
+    gauges = [Gauge(int(own)) for own in cost.gauges]
     best: Estimate | None = None
     failure: DegenerateGeometry | None = None
     tried = 0
-    for some in _starts(links, len(elements)):
+    for some in _starts(links, len(cost)):
         if tried == config.max_starts:
             break
         tried += 1
         try:
-            centre, frames = spanning_tree(range(len(elements)), gauges, some)
-            found = merge(elements, initial_points(elements, frames, centre, count), gauge, config)
+            centre, frames = spanning_tree(range(len(cost)), gauges, some)
+            found = minimise(cost, initial_points(cost, frames, centre), gauge, config)
         except DegenerateGeometry as err:
             failure = err
             continue

@@ -5,14 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Ints, Mask
+from mapmerge_ros.arrays import Ints, Mask
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.element import Element, Placement
+from mapmerge_ros.fusion.joint.cost import JointCost, State
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.search import search
@@ -31,12 +31,11 @@ class Anchor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Every landmark and frame of the component, in the global frame; `reduced` as merged."""
+    """Every landmark and frame, in the global frame (`state`); `reduced` as merged."""
 
-    elements: tuple[Element, ...]
-    reduced: tuple[Element, ...]
-    points: Floats
-    placements: tuple[Placement, ...]
+    cost: JointCost
+    reduced: JointCost
+    state: State
     estimate: Estimate
     S_global_estimate: Similarity
     """From the frame of `estimate`"""
@@ -66,16 +65,8 @@ def solve(
     views = association.views
     is_shared: Mask = views > 1 if len(submaps) > 1 else np.ones(association.count, bool)
     dof = degrees_of_freedom(views, [submap.gauge for submap in submaps], gauge)
-    elements = tuple(
-        Element.from_submap(submap, tracks, is_shared[tracks], float(weight))
-        for submap, tracks, weight in zip(submaps, association.tracks, noise.weights, strict=True)
-    )
-    shared = np.flatnonzero(is_shared)
-    slots = np.cumsum(is_shared) - 1
-    reduced = [
-        replace(element, tracks=slots[element.tracks])
-        for element in (element.reduced() for element in elements)
-    ]
+    cost = JointCost.of(submaps, association.tracks, is_shared, noise.weights)
+    reduced = cost.reduced()
     estimate = search(
         reduced,
         links,
@@ -83,22 +74,15 @@ def solve(
         lambda price: verify(price, dof, noise, config).accepted,
         config,
     )
-
-    points = np.full((association.count, 3), np.nan)
-    points[shared] = estimate.points
-    for element in elements:
-        points[element.tracks[~element.is_shared]] = element.recover_private(points)
+    points = cost.recover_private(estimate.points, association.count)
     held = [submap.map_id for submap in submaps].index(anchor.map_id)
-    S_global_estimate = anchor.S_global_map @ elements[held].place(points).S_map_global
-    points = S_global_estimate.apply(points)
-    placements = tuple(element.place(points) for element in elements)
+    S_global_estimate = anchor.S_global_map @ cost.evaluate(points).S_map_globals[held]
     return Solution(
-        elements,
-        tuple(reduced),
-        points,
-        placements,
+        cost,
+        reduced,
+        cost.evaluate(S_global_estimate.apply(points)),
         estimate,
         S_global_estimate,
         dof,
-        tuple(np.flatnonzero(element.is_shared) for element in elements),
+        tuple(np.flatnonzero(is_shared[own]) for own in association.tracks),
     )

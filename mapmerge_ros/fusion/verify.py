@@ -13,8 +13,14 @@ import scipy.stats
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.contrasts import scene_radius
-from mapmerge_ros.fusion.element import Element
-from mapmerge_ros.fusion.honest import Examination, examine
+from mapmerge_ros.fusion.honest import (
+    MAX_TRACKS,
+    TESTED_FIRST,
+    Examination,
+    by_textbook,
+    examine,
+)
+from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.outcome import ErrorModel, Verdict
 from mapmerge_ros.fusion.overlap import Link
@@ -88,7 +94,7 @@ def verify(a_tilde: float, dof: int, noise: Noise, config: FusionConfig) -> Verd
 
 
 def verify_merge(
-    reduced: Sequence[Element],
+    reduced: JointCost,
     estimate: Estimate,
     links: Sequence[Link],
     gauge: Gauge,
@@ -99,16 +105,19 @@ def verify_merge(
     """
     Test a merge, with the errors that maps of real cameras have where the textbook refuses.
 
-    `reduced` are the elements of the shared landmarks, as merged. What the textbook accepts
+    `reduced` is the cost of the shared landmarks, as merged. What the textbook accepts
     stays accepted, with its own p-value, unless its landmarks are not Gaussian; what moved
     together is refused as long as it is merged.
     """
     textbook = verify(estimate.cost, dof, noise, config)
     if dof <= 0:
         return textbook, None
+    redundancy = noise.estimated_from or np.inf
+    if len(estimate.points) > MAX_TRACKS and textbook.p_value >= TESTED_FIRST:
+        return textbook, by_textbook(estimate.cost / noise.sigma**2, dof, redundancy)
     certain = estimate.converged and is_certain(links, len(reduced))
-    merge = quadratic(reduced, estimate.points, gauge, noise.sigma)
-    found = examine(merge, noise.estimated_from or np.inf, certain=certain)
+    merge = quadratic(reduced.elements(), estimate.points, gauge, noise.sigma)
+    found = examine(merge, redundancy, certain=certain)
     return _judged(textbook, found, merge, config), found
 
 

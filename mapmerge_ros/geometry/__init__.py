@@ -4,14 +4,26 @@
 
 from mapmerge_ros.geometry.alignment import Alignment, align, align_robustly
 from mapmerge_ros.geometry.gauge import Gauge, gauge_basis, generators
+from mapmerge_ros.geometry.segments import (
+    Alignments,
+    Segments,
+    Similarities,
+    align_segments,
+    align_segments_robustly,
+)
 from mapmerge_ros.geometry.similarity import Similarity, skew
 
 __all__ = [
     'Alignment',
+    'Alignments',
     'Gauge',
+    'Segments',
+    'Similarities',
     'Similarity',
     'align',
     'align_robustly',
+    'align_segments',
+    'align_segments_robustly',
     'gauge_basis',
     'generators',
     'skew',

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -151,9 +152,9 @@ class SubMap:
         """(m, 3) working point q°."""
         return self.points[: self.compressed_count]
 
-    def triangle(self) -> Floats:
-        """R as a dense (3m - gauge, 3m) float64 matrix."""
-        return unpack(self.packed_r, 3 * self.compressed_count, self.rank)
+    def triangle(self, dtype: type[np.floating[Any]] = np.float64) -> Floats:
+        """R as a dense (3m - gauge, 3m) matrix."""
+        return unpack(self.packed_r, 3 * self.compressed_count, self.rank, dtype)
 
     def transformed(self, S_new_old: Similarity, frame_id: str | None = None) -> SubMap:
         """

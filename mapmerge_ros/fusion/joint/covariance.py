@@ -1,0 +1,116 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a merge knows, from the factor alone: no inverse of the whole is ever formed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmerge_ros.arrays import Floats, Mask
+from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion.compress import Normal
+from mapmerge_ros.fusion.joint.cost import JointCost, State
+from mapmerge_ros.fusion.joint.factor import factorise
+from mapmerge_ros.fusion.joint.fronts import Front
+from mapmerge_ros.fusion.joint.minimise import gauss_newton, plan
+from mapmerge_ros.geometry import Gauge, Similarity, gauge_basis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """Covariances in the gauge that prefers no landmark, for the given σ."""
+
+    landmarks: Floats
+    """(tracks, 3, 3)"""
+    frames: Floats
+    """(maps, 7, 7) left tangent of S_global_map, order of `Similarity.exp`"""
+
+
+def uncertainty(cost: JointCost, state: State, gauge: Gauge, sigma: float) -> Uncertainty:
+    """
+    Covariances of landmarks and frames at the optimum.
+
+    The factor holds the frame by one map; the projection Π = I - N N' off the gauge N takes that
+    out again: Π Σ Π needs Σ N besides the blocks of Σ, and that is one solve.
+
+    Raises
+    ------
+    DegenerateGeometry
+        A landmark is not determined.
+
+    """
+    try:
+        factor = factorise(plan(cost, state.points), gauss_newton(cost, state, gauge))
+    except np.linalg.LinAlgError:
+        raise DegenerateGeometry('a merged landmark is not determined') from None
+    null = gauge_basis(state.points, gauge)
+    pulled = factor.solve(null) if null.shape[1] else null
+    inner = null.T @ pulled
+    landmarks = np.empty((len(state.points), 3, 3))
+    frames = np.empty((len(cost), 7, 7))
+    by_points = _FramesByPoints(cost, state)
+    for front, block in factor.inverse_blocks():
+        if front.eliminated or front.leaf >= 0:
+            own = front.rows if front.leaf >= 0 else front.rows[: front.eliminated]
+            n, z = null[own], pulled[own]
+            free = block[: len(own), : len(own)] + n @ (inner @ n.T - z.T) - z @ n.T
+            _take_landmarks(front, free, landmarks)
+            if front.leaf >= 0:
+                derivative = by_points(front.leaf)[:, front.leaf_order]
+                frames[front.leaf] = derivative @ free @ derivative.T
+    return Uncertainty(sigma**2 * landmarks, sigma**2 * frames)
+
+
+def schur_complement(cost: JointCost, state: State, keep: Mask, gauge: Gauge) -> Normal:
+    """
+    Eliminate all landmarks but some: the normal equations of the kept ones.
+
+    They come last in the elimination, so that what is left for them at the root is the answer.
+
+    Raises
+    ------
+    DegenerateGeometry
+        A landmark that is left out is not determined by the others.
+
+    """
+    fronts = plan(cost, state.points, keep)
+    try:
+        factor = factorise(fronts, gauss_newton(cost, state), keep_root=True)
+    except np.linalg.LinAlgError:
+        raise DegenerateGeometry('a merged landmark is not determined') from None
+    assert factor.root is not None
+    rows = fronts.fronts[-1].rows
+    order = np.argsort(rows)
+    gradient = factor.forward(cost.gradient(state).ravel())[rows[order]]
+    return Normal(state.points[keep], factor.root[np.ix_(order, order)], gradient, gauge)
+
+
+def _take_landmarks(front: Front, free: Floats, landmarks: Floats) -> None:
+    """Diagonal blocks of the landmarks that are eliminated here."""
+    count = front.eliminated // 3
+    every = np.arange(count)
+    blocks = free[: 3 * count, : 3 * count].reshape(count, 3, count, 3)
+    landmarks[front.rows[: 3 * count : 3] // 3] = blocks[every, :, every, :]
+
+
+class _FramesByPoints:
+    """Derivative (7, 3s) of the frame of a map by its landmarks: `Element.frame_by_points`."""
+
+    def __init__(self, cost: JointCost, state: State) -> None:
+        self._cost, self._state = cost, state
+        self._responses = cost.gauge_response(state)[1]
+        self._centres = cost.centres_map()
+
+    def __call__(self, k: int) -> Floats:
+        rows, size = self._cost.segments.rows(k), int(self._cost.gauges[k])
+        S_map_global = self._state.S_map_globals[k]
+        linear = S_map_global.scale * S_map_global.rotation
+        turned = self._responses[rows].transpose(2, 0, 1) @ linear
+        tangent = np.zeros((7, turned.shape[1] * 3))
+        # generators are ordered translation, rotation z x y, scale; exp rotation, translation
+        tangent[[3, 4, 5, 2, 0, 1, 6][:size]] = turned[:size].reshape(size, tangent.shape[1])
+        centred = Similarity(1.0, np.eye(3), self._centres[k])
+        derivative: Floats = S_map_global.inverse().adjoint() @ centred.adjoint() @ tangent
+        return derivative

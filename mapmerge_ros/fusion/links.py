@@ -1,0 +1,157 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Links between all pairs of sub-maps at once: what `link_pair` says of one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmerge_ros.arrays import Floats, Ints, Mask
+from mapmerge_ros.fusion.associate import Association
+from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.overlap import (
+    MIN_TO_JUDGE,
+    Link,
+    Turn,
+    harmonic,
+    link_pair,
+)
+from mapmerge_ros.geometry import Segments, align_segments, align_segments_robustly
+from mapmerge_ros.submap import SubMap, alignment_weights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Pairs of sub-maps a < b, and what they have in common, pair after pair by track."""
+
+    a: Ints
+    """(pairs,)"""
+    b: Ints
+    segments: Segments
+    tracks: Ints
+    """(rows,)"""
+    rows_a: Ints
+    """(rows,) of the stacked compressed landmarks of all sub-maps"""
+    rows_b: Ints
+
+    def only(self, chosen: Mask) -> _Pairs:
+        """Some of the pairs."""
+        rows = np.repeat(chosen, self.segments.lengths)
+        return _Pairs(
+            self.a[chosen],
+            self.b[chosen],
+            Segments.of_lengths(self.segments.lengths[chosen]),
+            self.tracks[rows],
+            self.rows_a[rows],
+            self.rows_b[rows],
+        )
+
+
+def find_links(
+    submaps: Sequence[SubMap], association: Association, config: FusionConfig
+) -> tuple[Link, ...]:
+    """All pairs with common landmarks, aligned pairwise where that is possible."""
+    if not submaps:
+        return ()
+    weights = [alignment_weights(submap.triangle(np.float32)) for submap in submaps]
+    pairs = _pairs(association)
+    enough = pairs.segments.lengths >= config.min_shared
+    aligned = dict[tuple[int, int], Link]()
+    if enough.any():
+        some = pairs.only(enough)
+        aligned = {(link.a, link.b): link for link in _links(submaps, weights, some, config)}
+    both = zip(pairs.a.tolist(), pairs.b.tolist(), strict=True)
+    return tuple(
+        # What could not be aligned with the others says by itself why.
+        aligned.get(pair) or link_pair(submaps, association, weights, pair, config)
+        for pair in both
+    )
+
+
+def _pairs(association: Association) -> _Pairs:
+    maps = np.repeat(np.arange(len(association.tracks)), [len(own) for own in association.tracks])
+    tracks = np.concatenate(association.tracks)
+    order = np.lexsort((maps, tracks))
+    first, second = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for apart in range(1, int(np.bincount(tracks).max(initial=1))):
+        low, high = order[:-apart], order[apart:]
+        same = tracks[low] == tracks[high]
+        first.append(low[same])
+        second.append(high[same])
+    rows_a, rows_b = np.concatenate(first), np.concatenate(second)
+    by_pair = np.lexsort((tracks[rows_a], maps[rows_b], maps[rows_a]))
+    rows_a, rows_b = rows_a[by_pair], rows_b[by_pair]
+    keys = maps[rows_a] * len(association.tracks) + maps[rows_b]
+    _, starts, lengths = np.unique(keys, return_index=True, return_counts=True)
+    return _Pairs(
+        maps[rows_a[starts]],
+        maps[rows_b[starts]],
+        Segments.of_lengths(lengths),
+        tracks[rows_a],
+        rows_a,
+        rows_b,
+    )
+
+
+def _links(
+    submaps: Sequence[SubMap], weights: Sequence[Floats], pairs: _Pairs, config: FusionConfig
+) -> list[Link]:
+    """Links of the pairs that can be aligned."""
+    points = np.concatenate([submap.compressed_points for submap in submaps])
+    stacked = np.concatenate(list(weights))
+    gauges = np.array([int(submap.gauge) for submap in submaps])
+    gauges = np.maximum(gauges[pairs.a], gauges[pairs.b])
+    points_a, points_b = points[pairs.rows_a], points[pairs.rows_b]
+    plain = align_segments(points_a, points_b, pairs.segments, gauges, np.ones(len(points_a)))
+    ratios = plain.S_target_source.scales[pairs.segments.owners]
+    with np.errstate(all='ignore'):
+        precision = harmonic(stacked[pairs.rows_a], stacked[pairs.rows_b] / ratios**2)
+    robust = align_segments_robustly(points_a, points_b, pairs.segments, gauges, precision)
+    moved_b = robust.S_target_source.apply(pairs.segments, points_b)
+    apart = _contradicting(points_a, moved_b, precision, pairs.segments, config)
+    turns = _worst_turns(points_a, moved_b, pairs.segments)
+    return [
+        Link(
+            int(pairs.a[k]),
+            int(pairs.b[k]),
+            int(pairs.segments.lengths[k]),
+            robust.S_target_source[k],
+            turn=turns[k],
+            contradicting=pairs.tracks[rows][apart[rows]],
+        )
+        for k, rows in enumerate(map(pairs.segments.rows, range(len(pairs.segments))))
+        if plain.determined[k] and robust.determined[k]
+    ]
+
+
+def _worst_turns(points_a: Floats, points_b: Floats, segments: Segments) -> list[Turn]:
+    means = segments.sums(points_a) / segments.lengths[:, None]
+    centred = points_a - means[segments.owners]
+    scatter = segments.sums(centred[:, :, None] * centred[:, None, :])
+    spreads, axes = np.linalg.eigh(scatter)
+    across = np.sqrt(np.maximum(spreads[:, :2].sum(axis=1), 0.0) / segments.lengths)
+    distances = segments.medians(np.linalg.norm(points_a - points_b, axis=1))
+    with np.errstate(all='ignore'):
+        stds = distances / across
+    return [
+        Turn(axis, mean, float(std))
+        for axis, mean, std in zip(axes[:, :, 2], means, stds, strict=True)
+    ]
+
+
+def _contradicting(
+    points_a: Floats, points_b: Floats, precision: Floats, segments: Segments, config: FusionConfig
+) -> Mask:
+    """Rows whose landmarks, in one frame, cannot be the same point."""
+    owners = segments.owners
+    distances = np.linalg.norm(points_a - points_b, axis=1)
+    middles = np.column_stack([segments.medians(axis) for axis in points_a.T])
+    extents = segments.medians(np.linalg.norm(points_a - middles[owners], axis=1))
+    standardised = distances * np.sqrt(precision)
+    usual = segments.medians(standardised)
+    significant = standardised > config.contradiction_ratio * usual[owners]
+    far = distances > config.contradiction_extent * extents[owners]
+    return np.asarray(significant & far & (segments.lengths >= MIN_TO_JUDGE)[owners])

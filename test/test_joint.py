@@ -1,0 +1,256 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The fast merge against its plain form: stacked cost, fronts, selected inverse, many links."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_geometry import random_similarity
+
+pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres: pip install pycolmap')
+
+from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion import FusionConfig
+from mapmerge_ros.fusion.associate import associate_by_id
+from mapmerge_ros.fusion.compress import frame_covariance, normal_equations
+from mapmerge_ros.fusion.element import Element
+from mapmerge_ros.fusion.joint.cost import JointCost
+from mapmerge_ros.fusion.joint.covariance import schur_complement, uncertainty
+from mapmerge_ros.fusion.joint.dissection import dissect
+from mapmerge_ros.fusion.joint.factor import factorise
+from mapmerge_ros.fusion.joint.fronts import plan_fronts
+from mapmerge_ros.fusion.joint.minimise import gauss_newton, minimise, plan
+from mapmerge_ros.fusion.joint.start import initial_points
+from mapmerge_ros.fusion.links import find_links
+from mapmerge_ros.fusion.merge import assemble, merge
+from mapmerge_ros.fusion.overlap import link_pair, spanning_tree
+from mapmerge_ros.geometry import (
+    Gauge,
+    Segments,
+    align,
+    align_robustly,
+    align_segments,
+    align_segments_robustly,
+)
+from mapmerge_ros.simulation import FleetConfig, Sensing, simulate_fleet
+from mapmerge_ros.submap import alignment_weights
+
+GAUGES = [Gauge.SIMILARITY, Gauge.RIGID, Gauge.YAW_TRANSLATION, Gauge.NONE]
+CASES = [[gauge] * 6 for gauge in GAUGES]
+CASES.append([7, 6, 4, 7, 6, 7])
+IDS = ['similarity', 'rigid', 'yaw', 'none', 'mixed']
+CONFIG = FusionConfig()
+
+
+@pytest.fixture(scope='module')
+def fleets():
+    """Six drones on a grid per gauge; a fifth of what they compress is private."""
+    made = {}
+    for gauge in GAUGES:
+        config = FleetConfig(drones=6, keyframes=16, landmarks=140, sensing=Sensing(gauge=gauge))
+        fleet = simulate_fleet(config, 3)
+        made[gauge] = fleet.submaps(catalogue=False)
+    return made
+
+
+def case(fleets, gauges):
+    submaps = [fleets[Gauge(gauge)][k] for k, gauge in enumerate(gauges)]
+    own = [submap.compressed_ids[::9] for submap in submaps]
+    submaps = [
+        replace(
+            submap,
+            landmark_ids=np.where(
+                np.isin(submap.landmark_ids, ids),
+                submap.landmark_ids + np.uint64(10**6 * (k + 1)),
+                submap.landmark_ids,
+            ),
+        )
+        for k, (submap, ids) in enumerate(zip(submaps, own, strict=True))
+    ]
+    association = associate_by_id(submaps)
+    weights = np.linspace(0.5, 2.0, len(submaps))
+    is_shared = association.views > 1
+    elements = [
+        Element.from_submap(submap, tracks, is_shared[tracks], weight)
+        for submap, tracks, weight in zip(submaps, association.tracks, weights, strict=True)
+    ]
+    return (
+        submaps,
+        association,
+        elements,
+        JointCost.of(submaps, association.tracks, is_shared, weights),
+    )
+
+
+def merged(submaps, association, cost):
+    links = find_links(submaps, association, CONFIG)
+    centre, frames = spanning_tree(range(len(cost)), [Gauge(int(g)) for g in cost.gauges], links)
+    gauge = Gauge(int(cost.gauges.min()))
+    return minimise(cost.reduced(), initial_points(cost.reduced(), frames, centre), gauge, CONFIG)
+
+
+def at_optimum(submaps, association, cost):
+    found = merged(submaps, association, cost)
+    assert found.converged
+    return found, cost.evaluate(cost.recover_private(found.points, association.count))
+
+
+@pytest.mark.parametrize('gauges', CASES, ids=IDS)
+def test_the_stacked_cost_is_that_of_the_elements(fleets, gauges):
+    submaps, association, elements, cost = case(fleets, gauges)
+    points = merged(submaps, association, cost).points
+    rng = np.random.default_rng(0)
+    points = cost.recover_private(points, association.count)
+    points += 0.01 * np.abs(points).max() * rng.normal(size=points.shape)
+    state = cost.evaluate(points)
+    placements = [element.place(points) for element in elements]
+    plain = sum(np.sum(e.residuals(p) ** 2) for e, p in zip(elements, placements, strict=True))
+    assert state.cost == pytest.approx(plain, rel=1e-12)
+    _, gradient = assemble(elements, placements, points.size)
+    np.testing.assert_allclose(
+        cost.gradient(state).ravel(), gradient, atol=1e-10 * np.abs(gradient).max()
+    )
+    own = gauss_newton(cost, state)
+    for k, (element, placement) in enumerate(zip(elements, placements, strict=True)):
+        wanted = element.derivatives(placement)[0]
+        np.testing.assert_allclose(own(k), wanted, atol=1e-10 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize('gauges', CASES, ids=IDS)
+def test_the_fast_merge_is_the_plain_merge(fleets, gauges):
+    submaps, association, elements, cost = case(fleets, gauges)
+    found, _ = at_optimum(submaps, association, cost)
+    slots = np.cumsum(association.views > 1) - 1
+    reduced = [element.reduced() for element in elements]
+    reduced = [replace(element, tracks=slots[element.tracks]) for element in reduced]
+    gauge = Gauge(int(cost.gauges.min()))
+    start = found.points + 1e-3 * np.random.default_rng(1).normal(size=found.points.shape)
+    plain = merge(reduced, start, gauge, CONFIG)
+    assert found.cost == pytest.approx(plain.cost, rel=1e-9)
+    moved = align(plain.points, found.points, gauge=gauge).S_target_source.apply(found.points)
+    assert np.abs(moved - plain.points).max() < 1e-8 * np.abs(plain.points).max()
+
+
+@pytest.mark.parametrize('gauges', CASES, ids=IDS)
+def test_what_it_knows_is_what_the_dense_inverse_says(fleets, gauges):
+    submaps, association, elements, cost = case(fleets, gauges)
+    _, state = at_optimum(submaps, association, cost)
+    gauge = Gauge(int(cost.gauges.min()))
+    placements = [element.place(state.points) for element in elements]
+    normal = normal_equations(elements, state.points, placements, gauge)
+    covariance = normal.covariance(0.5)
+    found = uncertainty(cost, state, gauge, 0.5)
+    every = np.arange(len(state.points))
+    blocks = covariance.reshape(len(every), 3, len(every), 3)[every, :, every, :]
+    scale = np.abs(blocks).max(axis=(1, 2))[:, None, None]
+    np.testing.assert_allclose(found.landmarks / scale, blocks / scale, atol=1e-6)
+    for k, (element, placement) in enumerate(zip(elements, placements, strict=True)):
+        wanted = frame_covariance(element, placement, covariance)
+        tolerance = 1e-6 * max(np.abs(wanted).max(), 1e-30)
+        np.testing.assert_allclose(found.frames[k], wanted, atol=tolerance)
+    keep = np.random.default_rng(2).random(len(every)) < 0.3
+    left, wanted = schur_complement(cost, state, keep, gauge), normal.without(~keep)
+    size = np.abs(wanted.information).max()
+    np.testing.assert_allclose(left.information / size, wanted.information / size, atol=1e-10)
+    (r, c), (plain_r, plain_c) = left.triangle(), wanted.triangle()
+    np.testing.assert_allclose(r.T @ r / size, plain_r.T @ plain_r / size, atol=1e-9)
+    np.testing.assert_allclose(np.abs(c), np.abs(plain_c), atol=1e-4)
+
+
+def test_the_factor_solves_and_its_order_does_not_matter():
+    """Random elements on random maps: any tree, any landmarks last, gives the same answer."""
+    rng = np.random.default_rng(5)
+    count, maps = 40, 9
+    tracks = [np.sort(rng.choice(count, 12, replace=False)) for _ in range(maps)]
+    tracks[0] = np.union1d(tracks[0], np.setdiff1d(np.arange(count), np.concatenate(tracks)))
+    roots = [rng.normal(size=(3 * len(own) + 5, 3 * len(own))) for own in tracks]
+    dense = np.zeros((3 * count, 3 * count))
+    for own, root in zip(tracks, roots, strict=True):
+        at = (3 * own[:, None] + np.arange(3)).ravel()
+        dense[np.ix_(at, at)] += root.T @ root
+    right = rng.normal(size=(3 * count, 2))
+    owners = np.repeat(np.arange(maps), [len(own) for own in tracks])
+    for seed, last in ((1, None), (2, rng.random(count) < 0.4), (3, np.ones(count, bool))):
+        places = np.random.default_rng(seed).normal(size=(maps, 3))
+        tree = dissect(places, owners, np.concatenate(tracks))
+        assert sorted(tree.order) == list(range(maps))
+        factor = factorise(plan_fronts(tree, tracks, count, last), lambda k: roots[k].T @ roots[k])
+        np.testing.assert_allclose(factor.solve(right), np.linalg.solve(dense, right), atol=1e-9)
+        inverse = np.linalg.inv(dense)
+        for front, block in factor.inverse_blocks():
+            np.testing.assert_allclose(block, inverse[np.ix_(front.rows, front.rows)], atol=1e-9)
+
+
+def test_a_landmark_that_nothing_determines_is_said_so(fleets):
+    submaps, association, _, cost = case(fleets, CASES[0])
+    _, state = at_optimum(submaps, association, cost)
+    blind = [
+        replace(root, r=np.where(np.arange(root.r.shape[1]) < 3, 0, root.r)) for root in cost.roots
+    ]
+    with pytest.raises(DegenerateGeometry):
+        uncertainty(replace(cost, roots=tuple(blind)), state, Gauge.SIMILARITY, 0.5)
+
+
+def test_fronts_stay_small_on_a_grid_of_maps():
+    """Sixty-four maps in a row share with their neighbours only: no front outgrows three maps."""
+    maps = 64
+    tracks = [np.arange(10 * k, min(10 * k + 20, 10 * maps)) for k in range(maps)]
+    places = np.column_stack([np.arange(maps), np.zeros(maps), np.zeros(maps)])
+    owners = np.repeat(np.arange(maps), [len(own) for own in tracks])
+    fronts = plan_fronts(dissect(places, owners, np.concatenate(tracks)), tracks, 10 * maps)
+    assert max(len(front.rows) for front in fronts.fronts) <= 3 * 40
+    assert sum(front.eliminated for front in fronts.fronts) == fronts.size
+
+
+@pytest.mark.parametrize('gauge', GAUGES)
+@pytest.mark.parametrize('scale', ['least_squares', 'tangent'])
+def test_many_alignments_at_once_are_the_single_ones(gauge, scale):
+    rng = np.random.default_rng(6)
+    lengths = [4, 9, 25, 2]
+    segments = Segments.of_lengths(lengths)
+    source = rng.normal(size=(sum(lengths), 3))
+    moves = [random_similarity(rng, gauge) for _ in lengths]
+    target = np.concatenate(
+        [S.apply(source[segments.rows(k)]) for k, S in enumerate(moves)]
+    ) + 0.01 * rng.normal(size=source.shape)
+    weights = rng.random(len(source)) + 0.1
+    gauges = np.full(len(lengths), int(gauge))
+    found = align_segments(target, source, segments, gauges, weights, scale)
+    robust = align_segments_robustly(target, source, segments, gauges, weights)
+    for k in range(len(lengths)):
+        rows = segments.rows(k)
+        given = {'gauge': gauge, 'weights': weights[rows]}
+        if lengths[k] < gauge.minimal_points:
+            assert not found.determined[k]
+            continue
+        plain = align(target[rows], source[rows], scale=scale, **given).S_target_source
+        np.testing.assert_allclose(found.S_target_source[k].log(), plain.log(), atol=1e-10)
+        plain = align_robustly(target[rows], source[rows], **given).S_target_source
+        np.testing.assert_allclose(robust.S_target_source[k].log(), plain.log(), atol=1e-9)
+
+
+@pytest.mark.parametrize('gauges', CASES, ids=IDS)
+def test_all_links_at_once_are_the_single_links(fleets, gauges):
+    submaps, association, _, _ = case(fleets, gauges)
+    weights = [alignment_weights(submap.triangle()) for submap in submaps]
+    links = find_links(submaps, association, CONFIG)
+    assert len(links) > 6
+    for link in links:
+        plain = link_pair(submaps, association, weights, (link.a, link.b), CONFIG)
+        assert (link.shared, link.reason) == (plain.shared, plain.reason)
+        np.testing.assert_array_equal(link.contradicting, plain.contradicting)
+        if plain.S_a_b is not None:
+            np.testing.assert_allclose(link.S_a_b.log(), plain.S_a_b.log(), atol=1e-6)
+            assert link.turn.std_rad == pytest.approx(plain.turn.std_rad, rel=1e-5)
+            assert abs(link.turn.axis_a @ plain.turn.axis_a) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_plan_holds_the_kept_landmarks_at_the_root(fleets):
+    submaps, association, _, cost = case(fleets, CASES[0])
+    points = cost.recover_private(merged(submaps, association, cost).points, association.count)
+    keep = np.arange(len(points)) % 4 == 0
+    root = plan(cost, points, keep).fronts[-1]
+    kept = (3 * np.flatnonzero(keep)[:, None] + np.arange(3)).ravel()
+    np.testing.assert_array_equal(np.sort(root.rows), kept)
+    assert root.eliminated == len(kept)
