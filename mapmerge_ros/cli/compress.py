@@ -65,7 +65,7 @@ def add_parser(subparsers: Subparsers) -> None:
     add(
         '--all-tracks',
         action='store_true',
-        help='choose bad tracks as well: those with larger residuals than two thirds of their '
+        help='choose bad tracks as well, as with --id-space: those with larger residuals than two thirds of their '
         'session, and than four of their twelve neighbours',
     )
     add(
@@ -87,7 +87,9 @@ def run(args: argparse.Namespace) -> int:
     names = models.map_names(args)
     check_file(args.out, '.mcap')
     bundles = models.load(args)
-    chosen = choose(bundles, names, wanted, args.max_landmarks, not args.all_tracks)
+    chosen = choose(
+        bundles, names, wanted, args.max_landmarks, not (args.all_tracks or args.id_space)
+    )
     bundles = [
         with_uncertain_lens(bundle, name, args.lens_prior)
         for bundle, name in zip(bundles, names, strict=True)
