@@ -141,7 +141,7 @@ def rest_row(fleets: int) -> str:
         without = [_private(submap, np.isin(submap.landmark_ids, gone)) for submap in submaps]
         ratios.append(_rmse(apart, fleet, gone) / _rmse(without, fleet, gone))
     return (
-        f'| rest of the map over the map without the object, RMSE (what was found or is doubtful apart) | '
+        f'| RMSE of the rest over that of the map without the object, what was found apart | '
         f'within 2 % | {sum(ratio <= 1.02 for ratio in ratios)} of {fleets}; median '
         f'{np.median(ratios):.4f}, largest {max(ratios):.4f} |'
     )
