@@ -8,6 +8,7 @@ import numpy as np
 import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.fusion.contrasts import SMOOTH_RADII, scene_radius
 from mapmerge_ros.fusion.covariance_model import CovarianceModel
 from mapmerge_ros.fusion.local import Sensitivity
 from mapmerge_ros.fusion.objects import (
@@ -40,18 +41,18 @@ def confirmed(
 
     Each is tested with all others unlocked. `points` (tracks, 3) are the merged landmarks.
     """
-    kept: list[MovedObject] = []
+    kept, radius = list[MovedObject](), scene_radius(points)
     for at, moved in enumerate(suspects):
         others = [other.members for other in (*kept, *suspects[at + 1 :])]
         rest = state.unlock(np.concatenate(others)) if others else state
         seen = moved.members[rest.testable()[moved.members]]
         # Who belongs is chosen anew only afterwards, or it gathers the bad tracks nearby.
-        if len(seen) >= MIN_MEMBERS and _stands(common_motion(rest, points, seen), model):
+        if len(seen) >= MIN_MEMBERS and _stands(common_motion(rest, points, seen), model, radius):
             again = grown(rest, points, seen, model.tails.mean)
-            kept += [again] if again and _stands(again, model) else []
+            kept += [again] if again and _stands(again, model, radius) else []
     rest = state.unlock(members_of(kept)) if kept else state
     found = find_objects(rest, points, LEAST_STATISTIC * model.tails.mean)
-    return (*kept, *(moved for moved in found if _stands(moved, model)))
+    return (*kept, *(moved for moved in found if _stands(moved, model, radius)))
 
 
 def members_of(objects: tuple[MovedObject, ...] | list[MovedObject]) -> Ints:
@@ -65,9 +66,11 @@ def p_objects(objects: tuple[MovedObject, ...], model: CovarianceModel) -> float
     return float(scipy.stats.chi2.sf(strongest / model.tails.mean, 3))
 
 
-def _stands(moved: MovedObject, model: CovarianceModel) -> bool:
+def _stands(moved: MovedObject, model: CovarianceModel, radius: float) -> bool:
     scale = model.tails.mean
     least = LEAST_STATISTIC if model.is_textbook else LEAST_CONFIRMED
+    if not model.is_textbook and moved.extent > SMOOTH_RADII * radius:
+        return False  # as large as the bends of a lens: on unchanged sets 0.75 to 1.5 radii
     return moved.statistic >= least * scale and (
         moved.without_loudest >= LEAST_WITHOUT_LOUDEST * scale
     )

@@ -34,8 +34,8 @@ LEAST_WITHOUT_LOUDEST = 20.0
 χ²(3) that must be left with the loudest fifth of the members free: two bad tracks are no object.
 """
 
-MIN_MEMBERS = 4
-"""Of which two are free in that test; EuRoC has two bad tracks side by side, and one that fits."""
+MIN_MEMBERS = 5
+"""Of which two are free in that test: EuRoC has bad tracks side by side, and others that fit."""
 
 MIN_GAIN = 6.0
 """Rise of the statistic for which a landmark enters or leaves an object."""
@@ -65,6 +65,8 @@ class MovedObject:
     """
     without_loudest: float
     """The same with that fifth of the members, at least two, free that speaks for it most"""
+    extent: float
+    """Distance of its landmarks from their mean, root mean square [global map units]"""
     motion: RigidMotion
     """Of this sub-map's landmarks, from where the others see them"""
     ambiguous: bool
@@ -178,12 +180,14 @@ def _tested(state: Sensitivity, points: Floats, patch: Patch, inside: Ints) -> M
     motions = (TRANSLATION, RIGID) if len(inside) >= MIN_TURNED else (TRANSLATION,)
     members = patch.members[inside]
     views = np.bincount(state.members.tracks)
+    here = patch.points[inside]
     return MovedObject(
         members=members,
         statistic=max(patch.with_one_free(inside, each).min() / _factor(each) for each in motions),
         without_loudest=max(
             patch.without_loudest(inside, each) / _factor(each) for each in motions
         ),
+        extent=float(np.sqrt(3.0 * np.mean((here - here.mean(axis=0)) ** 2))),
         motion=rigid_motion(state, points, members),
         ambiguous=bool((views[state.members.tracks[members]] == 2).all()),
     )
