@@ -16,7 +16,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import Element, coordinates
-from mapmerge_ros.geometry import Gauge, Segments, Similarities, align_segments, generators
+from mapmerge_ros.geometry import Gauge, Segments, Similarities, align_segments
 from mapmerge_ros.submap import SubMap, alignment_weights, triangulate
 
 
@@ -53,16 +53,6 @@ class State:
     """(rows, 3) R'(R y' + c): derivative of half the cost by the displacement"""
     cost: float
     """Σ |R y' + c|², px²"""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LowRank:
-    """Per map U, V (3s, m): y' moves by (stretch I + U V') B dq, B the linear part of T."""
-
-    left: Floats
-    """(rows, 3, m)"""
-    right: Floats
-    """(rows, 3, m)"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,11 +146,13 @@ class JointCost:
                 f'the shared landmarks of sub-map {k} of the merge do not determine its frame'
             )
         moved = found.S_target_source.apply(self.segments, points[self.tracks])
-        centres, growth = self._means(moved), self.growth()
+        centres, growth = self.means(moved), self.growth()
         stretches = np.where(self.gauges == Gauge.SIMILARITY, 1.0, self._stretches(moved, growth))
         owners = self.segments.owners
         stretched = centres[owners] + stretches[owners, None] * (moved - centres[owners])
-        displacement = stretched - self.points_map - np.log(stretches)[owners, None] * growth
+        with np.errstate(invalid='ignore'):  # a wild step may turn a map inside out: it costs nan
+            logarithms = np.log(stretches)[owners, None]
+        displacement = stretched - self.points_map - logarithms * growth
         slopes, cost = np.empty_like(displacement), 0.0
         for k, root in enumerate(self.roots):
             rows = self.segments.rows(k)
@@ -170,70 +162,9 @@ class JointCost:
             slopes[rows] = root.weight * (residuals @ dense).reshape(-1, 3)
         return State(points, found.S_target_source, moved, stretches, centres, slopes, cost)
 
-    def gradient(self, state: State) -> Floats:
-        """Half the derivative (tracks, 3) of the cost by the global landmarks."""
-        low_rank, owners = self.low_rank(state), self.segments.owners
-        pulled = self.segments.products(low_rank.left, state.slopes[:, :, None])
-        slopes = state.stretches[owners, None] * state.slopes
-        slopes += (low_rank.right @ pulled[owners])[:, :, 0]
-        turned = np.einsum('mi,mij->mj', slopes, state.S_map_globals.linear()[owners])
-        size = len(state.points)
-        return np.column_stack(
-            [np.bincount(self.tracks, weights=axis, minlength=size) for axis in turned.T]
-        )
-
-    def jacobian(self, k: int, state: State, low_rank: LowRank) -> Floats:
-        """Derivative (rows of R, 3s) of a map's weighted residuals by its global landmarks."""
-        root, rows = self.roots[k], self.segments.rows(k)
-        linear = state.S_map_globals.scales[k] * state.S_map_globals.rotations[k]
-        left = low_rank.left[rows].reshape(root.r.shape[1], -1)
-        right = (low_rank.right[rows].transpose(0, 2, 1) @ linear).transpose(0, 2, 1)
-        r, weight = root.dense(), np.sqrt(root.weight)
-        turned = r.reshape(-1, 3) @ (weight * state.stretches[k] * linear)
-        jacobian: Floats = turned.reshape(r.shape)
-        jacobian += weight * (r @ left) @ right.reshape(root.r.shape[1], -1).T
-        return jacobian
-
-    def low_rank(self, state: State) -> LowRank:
-        """How T and the stretch answer to moved landmarks, for all maps."""
-        tangents, responses = self.gauge_response(state)
-        if (self.gauges == Gauge.SIMILARITY).all():
-            return LowRank(-tangents, responses)
-        owners, growth = self.segments.owners, self.growth()
-        stretches = state.stretches[owners, None]
-        weighted = growth * self.weights[:, None]
-        metric = 1.0 * (self.gauges != Gauge.SIMILARITY)[owners, None]
-        size = self.segments.sums(np.sum(weighted * growth, axis=1))[owners, None]
-        left, right = np.zeros((len(growth), 3, 4)), np.zeros((len(growth), 3, 4))
-        left[:, :, :3] = (1.0 - stretches)[:, :, None] * np.eye(3)
-        left[:, :, 3] = metric * (state.moved - state.centres[owners] - growth / stretches)
-        right[:, :, :3] = self._shares()[:, None, None] * np.eye(3)
-        right[:, :, 3] = -metric * stretches**2 / size * weighted
-        inner = self.segments.products(right, tangents)[owners]
-        through = -stretches[:, :, None] * tangents - left @ inner
-        return LowRank(
-            np.concatenate([left, through], axis=2), np.concatenate([right, responses], axis=2)
-        )
-
-    def gauge_response(self, state: State) -> tuple[Floats, Floats]:
-        """G and the transposed response (N'W G)^-1 N'W, (rows, 3, 7); zero where T is not free."""
-        owners, growth = self.segments.owners, self.growth()
-        centres = self.centres_map()[owners]
-        is_free = np.arange(7) < self.gauges[:, None]
-        free = is_free[owners][:, None, :]
-        tangents = _generators(state.moved - centres) * free
-        constraints = _generators(growth) * self.weights[:, None, None] * free
-        inner = self.segments.products(constraints, tangents)
-        inner[:, range(7), range(7)] += ~is_free
-        try:
-            inverse = np.linalg.inv(inner)
-        except np.linalg.LinAlgError:
-            raise DegenerateGeometry('the frame of a sub-map is not determined') from None
-        return tangents, constraints @ inverse.transpose(0, 2, 1)[owners]
-
     def centres_map(self) -> Floats:
         """Weighted means (maps, 3) of the working points."""
-        return self._means(self.points_map)
+        return self.means(self.points_map)
 
     def growth(self) -> Floats:
         """Displacement (rows, 3) of the working points per unit of log scale."""
@@ -268,12 +199,14 @@ class JointCost:
         """Every map in its plain form, which takes four times the memory."""
         return tuple(self.element(k) for k in range(len(self)))
 
-    def _shares(self) -> Floats:
+    def shares(self) -> Floats:
+        """Weights (rows,) that sum to one in each map."""
         shares: Floats = self.weights / self.segments.sums(self.weights)[self.segments.owners]
         return shares
 
-    def _means(self, points: Floats) -> Floats:
-        return self.segments.sums(self._shares()[:, None] * points)
+    def means(self, points: Floats) -> Floats:
+        """Weighted mean (maps, 3) of points (rows, 3)."""
+        return self.segments.sums(self.shares()[:, None] * points)
 
     def _stretches(self, moved: Floats, growth: Floats) -> Floats:
         weighted = growth * self.weights[:, None]
@@ -289,7 +222,3 @@ def _without_private(root: Root, is_shared: Mask) -> Root:
     private, shared = np.flatnonzero(~is_shared), np.flatnonzero(is_shared)
     r, c = triangulate(root.dense()[:, coordinates(np.concatenate([private, shared]))], root.c)
     return Root(r[3 * len(private) :, 3 * len(private) :], c[3 * len(private) :], root.weight)
-
-
-def _generators(points: Floats) -> Floats:
-    return generators(points, Gauge.SIMILARITY)

@@ -11,6 +11,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Mask
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.compress import Normal
+from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.cost import JointCost, State
 from mapmerge_ros.fusion.joint.factor import factorise
 from mapmerge_ros.fusion.joint.fronts import Front
@@ -83,7 +84,7 @@ def schur_complement(cost: JointCost, state: State, keep: Mask, gauge: Gauge) ->
     assert factor.root is not None
     rows = fronts.fronts[-1].rows
     order = np.argsort(rows)
-    gradient = factor.forward(cost.gradient(state).ravel())[rows[order]]
+    gradient = factor.forward(derivatives.gradient(cost, state).ravel())[rows[order]]
     return Normal(state.points[keep], factor.root[np.ix_(order, order)], gradient, gauge)
 
 
@@ -100,7 +101,7 @@ class _FramesByPoints:
 
     def __init__(self, cost: JointCost, state: State) -> None:
         self._cost, self._state = cost, state
-        self._responses = cost.gauge_response(state)[1]
+        self._responses = derivatives.gauge_response(cost, state)[1]
         self._centres = cost.centres_map()
 
     def __call__(self, k: int) -> Floats:

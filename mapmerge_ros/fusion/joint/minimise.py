@@ -11,6 +11,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Mask
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.acceleration import Acceleration
 from mapmerge_ros.fusion.joint.cost import JointCost, State
 from mapmerge_ros.fusion.joint.dissection import dissect
@@ -80,7 +81,7 @@ def _step(
     cost: JointCost, fronts: Fronts, state: State, matrix: _Matrix, gauge: Gauge
 ) -> tuple[State, float]:
     """Return the next state and the decrease that the step promised; the same state if none."""
-    gradient = cost.gradient(state)
+    gradient = derivatives.gradient(cost, state)
     while True:
         if matrix.factor is None:
             matrix.fresh = True
@@ -136,11 +137,11 @@ def gauss_newton(
 
     With a `gauge`, the frame of the result is held by the landmarks of one map in the middle.
     """
-    low_rank = cost.low_rank(state)
+    low_rank = derivatives.low_rank(cost, state)
     holder = _middle(cost, state.points) if gauge else -1
 
     def element(k: int) -> Floats:
-        jacobian = cost.jacobian(k, state, low_rank)
+        jacobian = derivatives.jacobian(cost, k, state, low_rank)
         matrix: Floats = jacobian.T @ jacobian
         diagonal = np.einsum('ii->i', matrix)
         typical = diagonal.mean()
