@@ -65,8 +65,8 @@ def add_parser(subparsers: Subparsers) -> None:
     add(
         '--all-tracks',
         action='store_true',
-        help='choose bad tracks as well, as with --id-space: those with larger residuals than two thirds of their '
-        'session, and than four of their twelve neighbours',
+        help='choose bad tracks as well, as with --id-space: those with larger residuals than two '
+        'thirds of their session, and than four of their twelve neighbours',
     )
     add(
         '--lens-prior',
