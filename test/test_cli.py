@@ -137,11 +137,19 @@ def test_replay_is_deterministic_at_any_rate(bag: Path) -> None:
 def test_replay_exits_with_0_where_the_test_refuses(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    options = ['--drones', '3', '--moved', '1']
-    assert main(['simulate', 'moved.mcap', *options]) == 0
-    assert main(['replay', 'moved.mcap']) == 0
-    assert summary_of('moved_merged')['test']['accepted'] is False
+    assert main(['simulate', 'fleet.mcap', '--drones', '3']) == 0
+    assert main(['replay', 'fleet.mcap', '--significance', '0.999', '--out', 'merged']) == 0
+    assert summary_of('merged')['test']['accepted'] is False
     assert 'The test does not believe it' in capsys.readouterr().out
+
+
+def test_replay_tells_what_moved(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['simulate', 'moved.mcap', '--drones', '3', '--moved', '1']) == 0
+    assert main(['replay', 'moved.mcap']) == 0
+    summary = summary_of('moved_merged')
+    assert summary['test']['accepted'] is True
+    assert {change['kind'] for change in summary['changes']} >= {'moved'}
+    assert 'moved together' in capsys.readouterr().out
 
 
 def test_options_of_replay_reach_the_engine(bag: Path) -> None:

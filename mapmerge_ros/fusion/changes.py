@@ -101,18 +101,16 @@ def find_off(
     the full bundle would have to live with too.
     """
     at, sources, p_values, objects = list[Ints](), list[Floats](), list[float](), list[int]()
-    if found.tests is not None:
-        known = found.objects if found.model is not None else ()
-        for number, moved in enumerate(known, objects_before + 1):
+    if found.model is not None and found.tests is not None:
+        for number, moved in enumerate(found.objects, objects_before + 1):
             at.append(_seen_by_newest(moved.members, members, submaps))
             count = len(moved.members)
             sources.append(np.broadcast_to(moved.covariance, (count, 3, 3)))
             p_values += [found.p_objects] * count
             objects += [number] * count
         in_objects = np.concatenate([np.zeros(0, np.int64), *at])
-        alone = np.union1d(found.aside, found.doubtful)
-        alone = alone[~np.isin(members.tracks[alone], members.tracks[in_objects])]
-        if found.model is not None and not found.model.is_textbook:
+        alone = found.aside[~np.isin(members.tracks[found.aside], members.tracks[in_objects])]
+        if not found.model.is_textbook:
             alone = alone[~_same_by_id(alone, members, submaps)]
         at.append(alone)
         sources.append(found.tests.covariance[alone])
