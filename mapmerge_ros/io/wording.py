@@ -44,8 +44,8 @@ def what_moved(fusion: Fusion) -> str:
     """Say what was found to be elsewhere; empty if nothing was."""
     objects: dict[int, list[Change]] = {}
     for change in fusion.changes:
-        objects.setdefault(change.object_id, []).append(change)
-    doubtful = objects.pop(0, [])
+        objects.setdefault(-1 if change.merged else change.object_id, []).append(change)
+    doubtful, merged = objects.pop(0, []), objects.pop(-1, [])
     parts = [
         f'{counted(len(changes), "landmark")} of {changes[0].map_id} moved together by '
         f'{np.median([np.linalg.norm(x.displacement_global) for x in changes]):.3g}'
@@ -53,14 +53,24 @@ def what_moved(fusion: Fusion) -> str:
     ]
     if doubtful:
         parts.append(f'{counted(len(doubtful), "landmark")} did not fit (wrong match, or moved)')
-    return f'Taken out of the merge: {"; ".join(parts)}.' if parts else ''
+    sentences = [f'Taken out of the merge: {"; ".join(parts)}.'] if parts else []
+    if merged:
+        sentences.append(f'Doubtful, but merged: {counted(len(merged), "landmark")}.')
+    return ' '.join(sentences)
+
+
+def kept_out(fusion: Fusion) -> str:
+    """Say which sub-maps are wrong as a whole; empty if none is."""
+    names = [item.submap.map_id for item in fusion.quarantined]
+    return f'Kept out, since the others contradict: {", ".join(names)}.' if names else ''
 
 
 def verdict_sentences(fusion: Fusion) -> str:
     """Say what was merged, whether to believe it, and what moved."""
     if not fusion.in_state(State.MERGED):
         return headline(fusion)
-    return f'{headline(fusion)} {belief(fusion.verdict)} {what_moved(fusion)}'.rstrip()
+    parts = headline(fusion), kept_out(fusion), belief(fusion.verdict), what_moved(fusion)
+    return ' '.join(filter(None, parts))
 
 
 def left_out(fusion: Fusion) -> tuple[MapAlignment, ...]:
