@@ -13,7 +13,7 @@ from gaussian_merges import merged, noise, scene
 from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, fuse
 from mapmerge_ros.fusion.contrasts import contrasts
 from mapmerge_ros.fusion.likelihood import weigh
-from mapmerge_ros.fusion.misfit import without_map
+from mapmerge_ros.fusion.misfit import MAX_RATIO, without_map, worst_map
 from mapmerge_ros.fusion.quarantine import Search
 from mapmerge_ros.io.summary import summarise
 from mapmerge_ros.submap import SubMap
@@ -190,3 +190,24 @@ def test_contrasts_without_a_map_are_those_of_the_others():
         np.testing.assert_allclose(identity, np.eye(len(rest.tracks)), atol=1e-12)
     assert prices[0] == pytest.approx(prices[1], rel=1e-6)
     assert rest.dof == 3 * len(rest.tracks) - 14
+
+
+def test_a_map_that_is_noisier_than_the_others_is_the_worst():
+    ratios, found = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        points, members, matrices = scene(rng, maps=4, landmarks=70, views=(3, 4))
+        errors = noise(rng, points, members, matrices)
+        ratios.append(worst_map(merged(points, members, matrices, errors)).ratio)
+        errors[members.of_map(2)] *= 3.0
+        found.append(worst_map(merged(points, members, matrices, errors)))
+    assert max(ratios) < 1.3
+    assert {test.k for test in found} == {2}
+    assert min(test.ratio for test in found) > MAX_RATIO
+
+
+def test_of_two_maps_none_is_the_worst():
+    rng = np.random.default_rng(3)
+    points, members, matrices = scene(rng, maps=2, landmarks=70, views=(2, 2))
+    errors = noise(rng, points, members, matrices)
+    assert worst_map(merged(points, members, matrices, errors)) is None
