@@ -7,12 +7,12 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test check unit colcon readme install install-test bag clean
+.PHONY: demo test check unit colcon docs interfaces readme install install-test bag clean
 
 demo: install
 	$(BIN)/mapmerge demo --out out/demo
 
-test: check unit readme colcon
+test: check unit readme docs colcon
 
 check: install-test
 	$(BIN)/ruff check .
@@ -23,6 +23,14 @@ unit: install-test
 
 readme: install-test
 	$(BIN)/python test/run_readme.py README.md
+
+# The site, in build/docs; every warning is an error.
+docs: $(VENV)/.documented
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
+
+# The page of all topics, services and parameters, from the nodes themselves.
+interfaces: install-test
+	$(BIN)/python docs/generate_interfaces.py
 
 # Both packages as a ROS workspace builds and checks them, beside the pip build of the .venv. Of the
 # tests only the linters: `unit` has run all of them.
@@ -57,6 +65,10 @@ $(VENV)/.tested: $(VENV)/.installed $(wildcard test/interfaces/*/*.*)
 
 $(VENV)/.colcon: $(VENV)/.tested msg_schemas/requirements-colcon.txt
 	$(PIP) install -r msg_schemas/requirements-colcon.txt
+	@touch $@
+
+$(VENV)/.documented: $(VENV)/.installed
+	$(PIP) install -e '.[docs]'
 	@touch $@
 
 # The shipped recording and its truth; bags/README.md says what is in it.

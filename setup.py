@@ -25,7 +25,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
-        (f'share/{package_name}/config', files('config', '*.yaml')),
+        (f'share/{package_name}/config', files('config', '*.*')),
         (f'share/{package_name}/launch', files('launch', '*.launch.py')),
         (f'share/{package_name}/rviz', files('rviz', 'fusion.*')),
     ],
@@ -42,6 +42,7 @@ setup(
     ],
     extras_require={
         'colmap': ['pycolmap>=4.2'],
+        'docs': ['myst-parser>=3', 'sphinx>=7'],
         'experiments': ['matplotlib>=3.7', 'pycolmap>=4.2'],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': [
