@@ -94,7 +94,8 @@ def quality(ends: Sequence[Any]) -> str:
 
 def ours(found: Sequence[tuple[str, Sequence[str]]]) -> list[tuple[str, str]]:
     """Name and type of what not every node has, in order."""
-    return sorted((name, types[0]) for name, types in found if not EVERYWHERE.search(name))
+    found = [(name, types[0]) for name, types in found if not EVERYWHERE.search(name)]
+    return sorted((name, re.sub('/(msg|srv)/', '/', kind)) for name, kind in found)
 
 
 def topics(node: Any) -> Iterator[str]:

@@ -34,7 +34,7 @@ from mapmerge_ros.submap import SubMap  # noqa: E402
 
 SHIPPED = Path(__file__).resolve().parents[1] / 'bags' / 'four_drones.mcap'
 
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 """For a condition that normally holds within two seconds; a busy machine may take its time."""
 
 RETRY_S = 5.0
@@ -43,6 +43,7 @@ RETRY_S = 5.0
 FUSION = 'mapmerge_ros.nodes.fusion_node'
 ROBOT = 'mapmerge_ros.nodes.robot_node'
 COMPRESSOR = 'mapmerge_ros.nodes.compressor_node'
+RECORDER = 'mapmerge_ros.nodes.record_node'
 
 
 def make_recording(folder: Path) -> Path:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from ros_processes import FUSION, REMEDY, Observer, spin_for, spin_until
+from ros_processes import FUSION, PATIENCE_S, REMEDY, Observer, spin_for, spin_until
 
 from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.submap import SubMap
@@ -73,7 +73,7 @@ def test_a_manager_brings_it_up_and_down(
     assert change(observer, 'deactivate')
     assert change(observer, 'cleanup')
     assert children.ended() == ''
-    assert set(children.stop().values()) == {0}
+    assert set(children.stop(PATIENCE_S).values()) == {0}
     assert 'Traceback' not in children.log('fusion').read_text()
 
 
