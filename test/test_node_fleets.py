@@ -4,34 +4,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import pytest
-from ros_processes import FUSION, Observer, observing, spin_until
+from ros_processes import FUSION, Observer, spin_until
 from scenes import random_bundle
 
 from mapmerge_ros.bundle import MapName, compress
-from mapmerge_ros.cli.processes import Children, free_domain
+from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.fusion import FusionConfig, fuse
 from mapmerge_ros.geometry import Similarity, align
 from mapmerge_ros.submap import Source, SubMap
 
 S = 1_000_000_000
-
-
-@pytest.fixture
-def children(tmp_path: Path) -> Iterator[Children]:
-    with Children(free_domain(), tmp_path / 'logs') as started:
-        yield started
-
-
-@pytest.fixture
-def observer(children: Children) -> Iterator[Observer]:
-    with observing(children.domain) as node:
-        yield node
 
 
 def submap_of(scene: int, robot: int, revision: int, stamp_ns: int, noise: int = 0) -> SubMap:
@@ -42,10 +27,6 @@ def submap_of(scene: int, robot: int, revision: int, stamp_ns: int, noise: int =
     own = replace(bundle, observations_px=noisy).transformed(Similarity.exp(rng.normal(size=7)))
     name = MapName(f'd{robot}/0', f'd{robot}', revision, stamp_ns, id_space='site')
     return compress(own, name, own.point_ids[:20])
-
-
-def merged(observer: Observer) -> int:
-    return observer.heard.status.merged if observer.heard.is_complete else 0
 
 
 def held(observer: Observer) -> dict[str, int]:
@@ -71,7 +52,7 @@ def test_robots_come_leave_and_begin_again(children: Children, observer: Observe
     robots = [submap_of(0, k, revision=5, stamp_ns=k * S) for k in range(8)]
     for k in np.random.default_rng(0).permutation(8):
         observer.send(f'/d{k}/submap', robots[k])
-    spin_until([observer], lambda: merged(observer) == 8, 'all eight')
+    spin_until([observer], lambda: observer.merged == 8, 'all eight')
 
     observer.leave('/d2/submap')
     observer.leave('/d6/submap')
@@ -92,7 +73,7 @@ def test_robots_come_leave_and_begin_again(children: Children, observer: Observe
     observer.send('/d4/submap', anew)
     spin_until(
         [observer],
-        lambda: held(observer).get('d4/0') == 1 and merged(observer) == 8,
+        lambda: held(observer).get('d4/0') == 1 and observer.merged == 8,
         'the map of the new life',
     )
     assert held(observer) == {f'd{k}/0': 1 if k == 4 else 5 for k in range(8)}
@@ -114,7 +95,7 @@ def test_two_fleets_on_one_network_do_not_hear_each_other(
         for submap in submaps:
             others[name].send(f'/{name}/{submap.robot_id}/submap', submap)
     nodes = list(others.values())
-    spin_until(nodes, lambda: all(merged(x) == 3 for x in nodes), 'both maps')
+    spin_until(nodes, lambda: all(x.merged == 3 for x in nodes), 'both maps')
     spin_until(
         nodes,
         lambda: all(x.node_values.get('messages_received') == '3' for x in nodes),
@@ -133,12 +114,12 @@ def test_the_global_frame_stays_when_a_map_is_added(
     robots = [submap_of(0, k, revision=1, stamp_ns=k * S) for k in range(5)]
     for submap in robots[1:4]:
         observer.send(f'/{submap.robot_id}/submap', submap)
-    spin_until([observer], lambda: merged(observer) == 3, 'three')
+    spin_until([observer], lambda: observer.merged == 3, 'three')
     before = observer.heard.global_map
     # The last one is older than all the others: alone it would hold the frame.
     for count, submap in ((4, robots[4]), (5, robots[0])):
         observer.send(f'/{submap.robot_id}/submap', submap)
-        spin_until([observer], lambda count=count: merged(observer) == count, f'{count} maps')
+        spin_until([observer], lambda count=count: observer.merged == count, f'{count} maps')
     after = observer.heard.global_map
     assert before is not None
     assert after is not None

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, Pose, Vector3
+from geometry_msgs.msg import Pose, Vector3
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
@@ -19,7 +19,7 @@ from mapmerge_ros.fusion import Fusion, Kind, MapAlignment, State
 from mapmerge_ros.geometry import scene_radius
 from mapmerge_ros.io.palette import SHARED, Rgb
 from mapmerge_ros.nodes.cloud import robot_colours
-from mapmerge_ros.nodes.frames import quaternion
+from mapmerge_ros.nodes.frames import point, quaternion, vector
 from mapmerge_ros.nodes.outgoing import covariance_of_parts
 
 TEXT_RATIO, FRAME_RATIO, LINK_RATIO = 0.03, 0.015, 0.004
@@ -79,7 +79,7 @@ class Drawing:
 
     def _links(self, merged: tuple[MapAlignment, ...], extent: float) -> Any:
         """One line for each pair of merged sub-maps with landmarks in common."""
-        origins = {item.submap.map_id: _point(item.S_global_map.translation) for item in merged}
+        origins = {item.submap.map_id: point(item.S_global_map.translation) for item in merged}
         marker = self._marker('links', 0, Marker.LINE_LIST, SHARED, 0.8)
         marker.scale.x = LINK_RATIO * extent
         marker.points = [
@@ -92,7 +92,7 @@ class Drawing:
 
     def _frame(self, number: int, item: MapAlignment, colour: Rgb, extent: float) -> Any:
         marker = self._marker('frames', number, Marker.SPHERE, colour, 1.0)
-        marker.pose = Pose(position=_point(item.S_global_map.translation))
+        marker.pose = Pose(position=point(item.S_global_map.translation))
         marker.pose.orientation = quaternion(item.S_global_map.rotation)
         size = FRAME_RATIO * extent
         marker.scale = Vector3(x=size, y=size, z=size)
@@ -101,7 +101,7 @@ class Drawing:
     def _label(self, number: int, item: MapAlignment, extent: float) -> Any:
         marker = self._marker('labels', number, Marker.TEXT_VIEW_FACING, SHARED, 1.0)
         above = item.S_global_map.translation + np.array([0.0, 0.0, TEXT_RATIO * extent])
-        marker.pose.position = _point(above)
+        marker.pose.position = point(above)
         marker.scale.z = TEXT_RATIO * extent
         marker.text = item.submap.map_id
         return marker
@@ -122,7 +122,7 @@ class Drawing:
         for k, change in enumerate(self.fusion.changes):
             marker = self._marker('changes', k, Marker.ARROW, CHANGE_COLOURS[change.kind], 1.0)
             tip = change.position_global
-            marker.points = [_point(tip - change.displacement_global), _point(tip)]
+            marker.points = [point(tip - change.displacement_global), point(tip)]
             width = LINK_RATIO * extent
             marker.scale = Vector3(x=width, y=3.0 * width, z=0.0)
             yield marker
@@ -138,10 +138,9 @@ class Drawing:
     ) -> Any:
         marker = self._marker(namespace, number, Marker.SPHERE, colour, 0.3)
         diameters, rotation = axes(covariance, LARGEST_RATIO * extent)
-        marker.pose.position = _point(position)
+        marker.pose.position = point(position)
         marker.pose.orientation = quaternion(rotation)
-        x, y, z = map(float, diameters)
-        marker.scale = Vector3(x=x, y=y, z=z)
+        marker.scale = vector(diameters)
         return marker
 
 
@@ -153,8 +152,3 @@ def axes(covariance: Floats, largest: float) -> tuple[Floats, Floats]:
     half = np.clip(half, 1e-6 * largest, largest)
     rotation = vectors * np.sign(np.linalg.det(vectors))
     return 2.0 * half, Rotation.from_matrix(rotation).as_matrix()
-
-
-def _point(values: Floats) -> Any:
-    x, y, z = map(float, values)
-    return Point(x=x, y=y, z=z)
