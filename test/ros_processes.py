@@ -20,7 +20,7 @@ pytest.importorskip('mapmerge_msgs.msg', reason=REMEDY)
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from mapmerge_msgs.msg import AlignmentArray, FusionStatus  # noqa: E402
 from mapmerge_msgs.msg import SubMap as SubMapMessage  # noqa: E402
-from mapmerge_msgs.srv import MergeNow as MergeNow  # noqa: E402
+from mapmerge_msgs.srv import MergeNow  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
@@ -148,6 +148,10 @@ class Observer(Node):
         answer = answered()
         self.destroy_client(client)
         return answer.result()
+
+    def merge_now(self, others: Sequence[Any] = ()) -> Any:
+        """Ask for a merge; the answer of the service."""
+        return self.call(MergeNow, 'merge_now', others)
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_processes import FUSION, ROBOT, MergeNow, Observer, spin_until
+from ros_processes import FUSION, ROBOT, Observer, spin_until
 
 from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.fusion import Fusion, FusionConfig, fuse
@@ -86,7 +86,7 @@ def test_late_node_and_late_listener_get_what_the_replay_finds(
         lambda: observer.node_values.get('sub_maps') == str(len(drones)),
         'the node has what was sent before it was there',
     )
-    response = observer.call(MergeNow, 'merge_now')
+    response = observer.merge_now()
     spin_until([observer], lambda: observer.heard.is_complete, 'the result')
     expected = fuse(drones, FusionConfig(map_id='fusion_node/global'))
     assert response.result == 0

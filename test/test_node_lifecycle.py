@@ -37,7 +37,7 @@ def test_a_manager_brings_it_up_and_down(
     assert state(observer) == 'unconfigured'
     assert change(observer, 'configure')
     assert state(observer) == 'inactive'
-    answer = observer.call(srv.MergeNow, 'merge_now')
+    answer = observer.merge_now()
     assert answer.result == srv.MergeNow.Response.RESULT_NOT_ACTIVE
     spin_until([observer], lambda: observer.node_values.get('mode') == 'inactive', 'it tells')
     assert observer.heard_by('/submaps') == 0

@@ -69,7 +69,7 @@ def test_parameters_change_where_that_makes_sense(
         observer.send('/submaps', submap)
     spin_until([observer], lambda: observer.node_values.get('sub_maps') == '2', 'two maps')
     assert put('min_shared', 1000) == ''
-    assert observer.call(srv.MergeNow, 'merge_now').status.merged == 0
+    assert observer.merge_now().status.merged == 0
     assert put('min_shared', 4) == ''
     assert put('merge_period', 0.1) == ''
     spin_until(

@@ -37,5 +37,5 @@ def _spread(k: int) -> Rgb:
 
 
 def hexadecimal(colour: Rgb) -> str:
-    """#rrggbb"""
+    """Colour as `#rrggbb`."""
     return '#{:02x}{:02x}{:02x}'.format(*colour)

@@ -83,7 +83,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def readable_bytes(count: float) -> str:
-    """184 kB"""
+    """Bytes with a unit, as `184 kB`."""
     for unit in ('B', 'kB', 'MB'):
         if count < 1000.0:
             return f'{count:.3g} {unit}'
