@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapmerge_ros.fusion import Fusion, FusionConfig, Kind, fuse
-from mapmerge_ros.geometry import align
+from mapmerge_ros.fusion import Fusion, FusionConfig, Kind, component, fuse
+from mapmerge_ros.fusion.solution import Solution, solve
+from mapmerge_ros.geometry import Similarity, align
 from mapmerge_ros.io.summary import summarise
 from mapmerge_ros.io.wording import what_moved
 from mapmerge_ros.submap import SubMap
@@ -95,6 +96,36 @@ def test_displacements_are_those_of_the_scene():
             sign = np.sign(seen @ want)  # by the older map it is the way back
             std = S_world_global.scale * np.linalg.norm(change.std)
             assert np.linalg.norm(sign * seen - want) < 6.0 * std + 0.05
+
+
+def test_the_frames_in_which_the_rounds_are_merged_do_not_matter(monkeypatch):
+    rounds = []
+
+    def turned(*args: object) -> Solution:
+        rounds.append(solve(*args))
+        tangent = len(rounds) * np.array([0.4, -0.9, 0.7, 3.0, -2.0, 1.0, 0.3])
+        S_turned_estimate = Similarity.exp(tangent)
+        found = rounds[-1]
+        return replace(
+            found,
+            estimate=replace(
+                found.estimate, points=S_turned_estimate.apply(found.estimate.points)
+            ),
+            S_global_estimate=found.S_global_estimate @ S_turned_estimate.inverse(),
+        )
+
+    submaps = moved_fleet(1).submaps()
+    expected = fuse(submaps).changes
+    monkeypatch.setattr(component, 'solve', turned)
+    found = fuse(submaps).changes
+    assert len(rounds) > 1
+    for one, other in zip(found, expected, strict=True):
+        assert one.landmark_id == other.landmark_id
+        size = np.abs(other.covariance).max()
+        np.testing.assert_allclose(one.covariance / size, other.covariance / size, atol=1e-4)
+        np.testing.assert_allclose(
+            one.displacement_global, other.displacement_global, atol=1e-3 * np.sqrt(size)
+        )
 
 
 def test_a_moved_landmark_goes_on_as_two_and_the_newest_keeps_the_id():

@@ -19,7 +19,6 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from mapmerge_ros.bundle import MapName, compress
-from mapmerge_ros.bundle.selection import best_tracks, matched
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion import Fusion, fuse
 from mapmerge_ros.geometry import Gauge, Similarity
@@ -356,35 +355,3 @@ def test_comparison_is_that_of_shared_unmoved_landmarks(fusion: Fusion) -> None:
         )
 
 
-def test_matched_points_are_those_that_others_have() -> None:
-    first, second = random_bundle(seed=1), random_bundle(seed=2)
-    third = replace(random_bundle(seed=3), point_ids=np.arange(30) + 10**6)
-    chosen = matched([first, second, third])
-    np.testing.assert_array_equal(chosen[0], np.sort(first.point_ids))
-    np.testing.assert_array_equal(chosen[0], chosen[1])
-    assert len(chosen[2]) == 0
-
-
-def test_capped_match_takes_what_most_bundles_have_and_never_one_alone() -> None:
-    first = random_bundle(seed=1)
-    second = replace(random_bundle(seed=2), point_ids=first.point_ids)
-    third_ids = first.point_ids.copy()
-    third_ids[:20] += 10**6
-    third = replace(random_bundle(seed=3), point_ids=third_ids)
-    chosen = matched([first, second, third], 12)
-    assert [len(ids) for ids in chosen] == [12, 12, 10]
-    assert set(first.point_ids[20:]) <= set(chosen[0])
-    counts = np.unique(np.concatenate(chosen), return_counts=True)[1]
-    assert (counts >= 2).all()
-
-
-def test_best_tracks_are_the_longest() -> None:
-    bundle = random_bundle(seed=4)
-    lengths = dict(
-        zip(bundle.point_ids.tolist(), np.bincount(bundle.observation_points), strict=True)
-    )
-    best = best_tracks(bundle, 10)
-    shortest = min(lengths[own] for own in best.tolist())
-    others = set(lengths) - set(best.tolist())
-    assert len(best) == 10
-    assert all(lengths[own] <= shortest for own in others)

@@ -11,16 +11,16 @@ import numpy as np
 
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.associate import Association
-from mapmerge_ros.fusion.changes import Change, Off, describe, find_off, unlocked
+from mapmerge_ros.fusion.changes import Change, Off, describe
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.honest import Examination
 from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.fusion.outcome import Verdict
 from mapmerge_ros.fusion.outgoing import Merged, compress_component
 from mapmerge_ros.fusion.overlap import Link, components
-from mapmerge_ros.fusion.quadratic import members_of
 from mapmerge_ros.fusion.solution import Anchor, Solution, solve
 from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.fusion.unlock import Examined, find_off, too_much, unlocked
 from mapmerge_ros.fusion.verify import Noise, pool_noise, verify_merge
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import SubMap
@@ -92,13 +92,13 @@ class _State:
     solution: Solution
     verdict: Verdict
     examination: Examination | None
-    taken_out: tuple[tuple[Off, Association, Solution], ...]
+    taken_out: tuple[Off, ...]
 
     def told(self) -> Verdict:
         """Verdict on what is merged, with the number of landmarks that are not."""
         if not self.taken_out:
             return self.verdict
-        objects = np.concatenate([off.objects for off, _, _ in self.taken_out])
+        objects = np.concatenate([off.objects for off in self.taken_out])
         moved, aside = int((objects > 0).sum()), int((objects == 0).sum())
         return replace(
             self.verdict,
@@ -110,16 +110,8 @@ class _State:
         """Return what was taken out, where it is now."""
         return tuple(
             change
-            for off, before, solution in self.taken_out
-            for change in describe(
-                off,
-                before,
-                submaps,
-                solution.rows,
-                self.solution.state.points,
-                self.solution.S_global_estimate,
-                names,
-            )
+            for off in self.taken_out
+            for change in describe(off, submaps, self.solution.state.points, names)
         )
 
 
@@ -134,11 +126,7 @@ class _Task:
     config: FusionConfig
     stopwatch: Stopwatch
 
-    def attempt(
-        self,
-        association: Association,
-        taken_out: tuple[tuple[Off, Association, Solution], ...],
-    ) -> _State:
+    def attempt(self, association: Association, taken_out: tuple[Off, ...]) -> _State:
         # A basin that was believed before is not looked for again.
         config = replace(self.config, max_starts=1) if taken_out else self.config
         with self.stopwatch.measure('merge'):
@@ -162,18 +150,19 @@ class _Task:
         """Merge again without it; None if nothing is, or too much for the rest to be believed."""
         if state.examination is None:
             return None
-        members = members_of(state.solution.reduced.elements())
-        before = max((int(off.objects.max()) for off, _, _ in state.taken_out), default=0)
-        off = find_off(state.examination, members, self.submaps, before)
-        if not len(off) or not off.believable:
+        solution = state.solution
+        examined = Examined(
+            state.examination, state.association, solution.rows, solution.S_global_estimate
+        )
+        before = max((int(off.objects.max()) for off in state.taken_out), default=0)
+        off = find_off(examined, self.submaps, before)
+        if off is None or len(too_much(off, solution.rows)):
             return None
-        association = unlocked(state.association, off, state.solution.rows)
+        association = unlocked(state.association, off)
         if not self._connected(association):
             return None
         try:
-            return self.attempt(
-                association, (*state.taken_out, (off, state.association, state.solution))
-            )
+            return self.attempt(association, (*state.taken_out, off))
         except DegenerateGeometry:
             return None
 

@@ -18,7 +18,7 @@ from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.conditional import conditional_tests
 from mapmerge_ros.fusion.confirm import confirmed, members_of, p_objects
-from mapmerge_ros.fusion.contrasts import NOBODY, Contrasts, contrasts, scene_radius
+from mapmerge_ros.fusion.contrasts import NOBODY, Contrasts, contrasts
 from mapmerge_ros.fusion.covariance_model import (
     LARGEST_TAIL,
     TEXTBOOK,
@@ -37,6 +37,7 @@ from mapmerge_ros.fusion.objects import (
 )
 from mapmerge_ros.fusion.quadratic import Quadratic
 from mapmerge_ros.fusion.tails import GAUSSIAN, are_gaussian
+from mapmerge_ros.geometry import scene_radius
 
 MIN_CONTRASTS, MAX_CONTRASTS = 50, 600
 """

@@ -12,7 +12,6 @@ import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.contrasts import scene_radius
 from mapmerge_ros.fusion.honest import (
     MAX_TRACKS,
     TESTED_FIRST,
@@ -26,7 +25,7 @@ from mapmerge_ros.fusion.outcome import ErrorModel, Verdict
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.quadratic import Quadratic, quadratic
 from mapmerge_ros.fusion.search import is_certain
-from mapmerge_ros.geometry import Gauge
+from mapmerge_ros.geometry import Gauge, scene_radius
 from mapmerge_ros.submap import SubMap
 
 

@@ -3,7 +3,9 @@
 """Transforms, gauges and alignment: pure mathematics."""
 
 from mapmerge_ros.geometry.alignment import Alignment, align, align_robustly
+from mapmerge_ros.geometry.extent import scene_radius
 from mapmerge_ros.geometry.gauge import Gauge, gauge_basis, generators
+from mapmerge_ros.geometry.graph import FrameGraph
 from mapmerge_ros.geometry.segments import (
     Alignments,
     Segments,
@@ -16,6 +18,7 @@ from mapmerge_ros.geometry.similarity import Similarity, skew
 __all__ = [
     'Alignment',
     'Alignments',
+    'FrameGraph',
     'Gauge',
     'Segments',
     'Similarities',
@@ -26,5 +29,6 @@ __all__ = [
     'align_segments_robustly',
     'gauge_basis',
     'generators',
+    'scene_radius',
     'skew',
 ]

@@ -16,6 +16,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.fusion import Fusion, Kind, MapAlignment, State
+from mapmerge_ros.geometry import scene_radius
 from mapmerge_ros.io.palette import SHARED, Rgb
 from mapmerge_ros.nodes.cloud import robot_colours
 from mapmerge_ros.nodes.frames import point, quaternion, vector
@@ -65,10 +66,9 @@ class Drawing:
         yield from self._changes(extent)
 
     def _extent(self) -> float:
-        """Mean distance of the landmarks from their middle, global units."""
+        """Twice the radius of the scene, global units."""
         points = self.fusion.components[0].landmarks.points_global
-        spread = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-        return max(float(np.median(spread)), np.finfo(float).tiny) * 2.0
+        return max(scene_radius(points), np.finfo(float).tiny) * 2.0
 
     def _marker(self, namespace: str, number: int, kind: int, colour: Rgb, alpha: float) -> Any:
         r, g, b = (value / 255.0 for value in colour)
