@@ -17,8 +17,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mapmerge_ros.fusion import Change, ErrorModel, Fusion, Kind, State, fuse
+from mapmerge_ros.fusion.outcome import Contradiction
 from mapmerge_ros.geometry import Gauge
-from mapmerge_ros.io.change_words import chance, motion, nothing_moved
+from mapmerge_ros.io.change_words import chance, motion, nothing_moved, split_ids
 from mapmerge_ros.io.drawing import density, price_and_expected, top_view
 from mapmerge_ros.io.map_points import map_points
 from mapmerge_ros.io.moved_objects import moved_objects
@@ -290,6 +291,15 @@ def test_nothing_moved_is_said_plainly_and_only_where_it_is_known(fusion: Fusion
     assert 'Nothing can be named' in nothing_moved(replace(fusion, components=(refused,)))
     alone = replace(fusion, alignments=(replace(fusion.alignments[0], state=State.DETACHED),))
     assert 'Nothing can be said' in nothing_moved(alone)
+
+
+def test_ids_far_apart_are_not_called_unmoved(fusion: Fusion) -> None:
+    far = tuple(Contradiction(k, 'r0/0001', 'r1/0001') for k in range(3))
+    found = replace(fusion, contradictions=far)
+    assert split_ids(fusion) == ''
+    assert 'something was moved far' in split_ids(found)
+    assert '3 of r0/0001 and r1/0001' in page_of(found).text
+    assert 'Nothing moved' not in page_of(found).text
 
 
 @pytest.mark.parametrize(
