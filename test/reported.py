@@ -11,7 +11,7 @@ import numpy as np
 from mapmerge_ros.bundle import MapName, compress
 from mapmerge_ros.fusion import Change, Fusion, Kind, fuse
 from mapmerge_ros.geometry import Gauge, Similarity
-from mapmerge_ros.submap import SubMap
+from mapmerge_ros.submap import Descriptors, SubMap
 
 from scenes import random_bundle  # isort: skip
 
@@ -56,3 +56,23 @@ def moved_fusion() -> Fusion:
         for k in range(MOVED_COUNT + 1)
     )
     return replace(fusion, components=(replace(first, changes=changes), *fusion.components[1:]))
+
+
+def large_fusion(catalogue: int) -> Fusion:
+    """Two sub-maps that announce `catalogue` landmarks each besides those that they share."""
+    return fuse(_announcing(submap, catalogue, k) for k, submap in enumerate(submaps()[:2]))
+
+
+def _announcing(submap: SubMap, count: int, number: int) -> SubMap:
+    rng = np.random.default_rng(number)
+    middle, spread = submap.points.mean(axis=0), submap.points.std(axis=0)
+    more = middle + spread * rng.normal(size=(count, 3))
+    ids = np.arange(count, dtype=np.uint64) + np.uint64(10**9 * (number + 1))
+    total = len(submap.points) + count
+    return replace(
+        submap,
+        landmark_ids=np.concatenate([submap.landmark_ids, ids]),
+        points=np.concatenate([submap.points, more]),
+        covariances=None,
+        descriptors=Descriptors.none(total),
+    )

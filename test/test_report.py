@@ -9,6 +9,7 @@ import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mapmerge_ros.fusion import Change, ErrorModel, Fusion, Kind, State, fuse
+from mapmerge_ros.fusion.outcome import Contradiction
 from mapmerge_ros.geometry import Gauge
-from mapmerge_ros.io.change_words import chance, motion, nothing_moved
+from mapmerge_ros.io.change_words import chance, motion, nothing_moved, split_ids
 from mapmerge_ros.io.drawing import density, price_and_expected, top_view
 from mapmerge_ros.io.map_points import map_points
 from mapmerge_ros.io.moved_objects import moved_objects
@@ -291,6 +293,15 @@ def test_nothing_moved_is_said_plainly_and_only_where_it_is_known(fusion: Fusion
     assert 'Nothing can be said' in nothing_moved(alone)
 
 
+def test_ids_far_apart_are_not_called_unmoved(fusion: Fusion) -> None:
+    far = tuple(Contradiction(k, 'r0/0001', 'r1/0001') for k in range(3))
+    found = replace(fusion, contradictions=far)
+    assert split_ids(fusion) == ''
+    assert 'something was moved far' in split_ids(found)
+    assert '3 of r0/0001 and r1/0001' in page_of(found).text
+    assert 'Nothing moved' not in page_of(found).text
+
+
 @pytest.mark.parametrize(
     ('p_value', 'words'),
     [
@@ -354,3 +365,22 @@ def test_density_is_of_the_price_that_the_p_value_is_about(fusion: Fusion) -> No
     page = page_of(replace(fusion, components=(first, *fusion.components[1:])))
     assert 'errors of the sizes that were fitted' in page.text
     assert {'test.errors.price', 'test.errors.dof'} <= {path for path, _, _ in page.numbers}
+
+
+def luminance(colour: str) -> float:
+    """Of `#rrggbb`, as the Web Content Accessibility Guidelines define it."""
+    parts = np.array([int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)])
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def test_colours_of_the_page_can_be_read_by_day_and_night() -> None:
+    style = (resources.files('mapmerge_ros.io') / 'templates' / 'report.css').read_text()
+    light, dark = re.findall(r':root \{(.*?)\}', style, re.DOTALL)[:2]
+    for scheme in (light, dark):
+        colour = dict(re.findall(r'--([\w-]+): (#[0-9a-f]{6})', scheme))
+        paper = luminance(colour['card'])
+        for name in ('ink', 'soft', 'good', 'bad', 'open', 'several', 'p0', 'p1', 'p2', 'p3'):
+            own = luminance(colour[name])
+            contrast = (max(own, paper) + 0.05) / (min(own, paper) + 0.05)
+            assert contrast >= (3.0 if name in ('p0', 'p1', 'several') else 4.5), name

@@ -5,11 +5,15 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 from mapmerge_ros.fusion import Fusion, State
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.io.moved_objects import MovedTogether
 from mapmerge_ros.io.wording import counted
+
+MAX_PAIRS = 6
+"""Pairs of sub-maps that are named one by one."""
 
 CERTAIN = 1e-9
 """p-value below which chance is no longer put into numbers."""
@@ -40,10 +44,26 @@ def nothing_moved(fusion: Fusion) -> str:
             f'Nothing moved together. {counted(alone, "single landmark")} did not fit (a wrong '
             'match or a bad track is as likely as motion).'
         )
+    known = 'Nothing moved.' if not fusion.contradictions else 'No merged landmark moved.'
     return (
-        f'Nothing moved. Each of the {counted(count, "landmark")} that several sub-maps have was '
+        f'{known} Each of the {counted(count, "landmark")} that several sub-maps have was '
         'tested by itself, and each group of neighbours together: none is farther off than its '
         'own uncertainty explains.'
+    )
+
+
+def split_ids(fusion: Fusion) -> str:
+    """Tell ids that two sub-maps give to points far apart: wrong, or moved farther than noise."""
+    counts = Counter((each.a, each.b) for each in fusion.contradictions)
+    if not counts:
+        return ''
+    pairs = [f'{count} of {a} and {b}' for (a, b), count in counts.most_common(MAX_PAIRS)]
+    if len(counts) > MAX_PAIRS:
+        pairs.append(f'and of {counted(len(counts) - MAX_PAIRS, "more pair")}')
+    return (
+        'Landmark ids that two sub-maps give to points too far apart to be one: '
+        f'{"; ".join(pairs)}. Either the ids are wrong, or something was moved far. They were '
+        'not merged.'
     )
 
 

@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from mapmerge_ros.fusion import Fusion
 from mapmerge_ros.geometry import Gauge
-from mapmerge_ros.io.change_words import chance, motion, nothing_moved
+from mapmerge_ros.io.change_words import chance, motion, nothing_moved, split_ids
 from mapmerge_ros.io.comparison import TruthComparison
 from mapmerge_ros.io.drawing import density, top_view
 from mapmerge_ros.io.drawing_graph import map_graph
@@ -115,6 +115,7 @@ def _changes(fusion: Fusion, scene: Scene) -> dict[str, Any]:
     doubtful = sum(not change.object_id for change in fusion.changes)
     return {
         'unmoved': nothing_moved(fusion),
+        'split': split_ids(fusion),
         'objects': [
             {
                 'number': each.number,

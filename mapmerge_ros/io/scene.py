@@ -23,8 +23,11 @@ MAX_RADII = 4.0
 HALF_WIDTH, HALF_HEIGHT = 1.0, 0.65
 """Of the sub-maps side by side: what a screen shows of the floor of a map of radius 1."""
 
-FILLED, GAP = 0.38, 0.5
+FILLED, GAP = 0.38, 0.3
 """Radius of a sub-map in its cell; between the map and those apart from it, below."""
+
+MIN_COLUMNS, MAX_COLUMNS = 5, 14
+"""Of the sub-maps that are apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +59,7 @@ def make_scene(fusion: Fusion, max_points: int = MAX_POINTS) -> Scene:
     shown = tuple(item for item in fusion.alignments if len(item.submap.points))
     slots = dict(zip(points.map_ids, points.rows, strict=True))
     apart = [item for item in shown if item.submap.map_id not in slots]
-    below = _row_below(len(apart))
+    below = _below(len(apart))
     parts = list[_Part]()
     for item, (x, y, size) in zip(shown, _side_by_side(len(shown)), strict=True):
         own = _in_own_frame(item)
@@ -100,10 +103,18 @@ def _side_by_side(count: int) -> list[tuple[float, float, float]]:
     ]
 
 
-def _row_below(count: int) -> list[tuple[float, float, float]]:
-    cell = 2.0 * HALF_WIDTH / max(count, 4)
+def _below(count: int) -> list[tuple[float, float, float]]:
+    """Middle x, y and size of every sub-map that is apart from the merged ones."""
+    columns = max(MIN_COLUMNS, min(count, MAX_COLUMNS))
+    cell = 2.0 * HALF_WIDTH / columns
+    wide = min(count, columns)
     return [
-        ((k + 0.5) * cell - 0.5 * cell * count, -1.0 - GAP, FILLED * cell) for k in range(count)
+        (
+            (k % columns + 0.5 - 0.5 * wide) * cell,
+            -1.0 - GAP - (k // columns) * cell,
+            FILLED * cell,
+        )
+        for k in range(count)
     ]
 
 

@@ -59,11 +59,11 @@ def _text(words: Floats | Ints) -> str:
 
 
 def _maps(scene: Scene, palette: Mapping[str, Rgb]) -> list[dict[str, Any]]:
-    """Name, robot, colour and middle of every sub-map that is drawn."""
+    """Name, state, colour and middle of every sub-map that is drawn."""
     return [
         {
             'name': item.submap.map_id,
-            'robot': item.submap.robot_id,
+            'state': item.state.name.lower(),
             'colour': palette[item.submap.map_id],
             'sent': _middle(scene.sent[scene.owners == k]),
             'merged': _middle(scene.merged[scene.owners == k]),

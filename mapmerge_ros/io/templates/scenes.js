@@ -33,7 +33,8 @@ class Picture {
     this.floor();
     // Few points are drawn large enough to be seen, many small enough not to hide each other.
     const dot = between(0.6, 2.4 - 0.45 * Math.log10(1 + this.cloud.owners.length / 100), 2);
-    const dots = [dot, dot + 0.9].map(radius => Math.round(this.dotSize * radius * fine));
+    const size = this.dotSize * fine * Math.min(1, Math.sqrt(this.stage.clientWidth / 800));
+    const dots = [dot, dot + 0.9].map(radius => Math.round(size * radius));
     this.splatter.draw(this.camera, this.cloud, this.blend, this.colours(), this.hidden, dots);
     this.context.drawImage(this.splatter.canvas, 0, 0);
     this.overlay();
@@ -103,7 +104,11 @@ class Picture {
 class MapPicture extends Picture {
   dotSize = 1;
 
-  home() { return new Camera([0, 0, 0], 1); }
+  /** Farther away where sub-maps lie below the map, apart from it. */
+  home() {
+    const lowest = Math.min(-1, ...this.data.maps.map(map => map.merged[1] - 0.2));
+    return new Camera([0, (1 + lowest) / 2, 0], lowest < -1 ? 1.8 / (1 - lowest) : 1);
+  }
 
   overlay() {
     if (!this.showNames) return;
@@ -120,7 +125,11 @@ class MapPicture extends Picture {
     context.setLineDash([]);
     context.globalAlpha = 1;
     const taken = [];
-    data.maps.forEach((map, k) => this.hidden[k] || this.label(map.name, place(map), taken));
+    data.maps.forEach((map, k) => {
+      const {name, state} = map;
+      const text = state === 'merged' || this.blend < 0.5 ? name : `${name}: ${state}`;
+      if (!this.hidden[k]) this.label(text, place(map), taken);
+    });
   }
 
   /** To side by side (0) or merged (1), step by step unless the reader wants none. */
