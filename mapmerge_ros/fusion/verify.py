@@ -131,7 +131,14 @@ def _judged(
     p_value = min(found.p_value, found.p_objects)  # as long as they are merged like all else
     accepted = p_value >= config.significance and not moved
     radius = scene_radius(merge.points)
-    errors = ErrorModel(model.phi, model.tau / radius, model.omega / radius, model.tails.freedom)
+    errors = ErrorModel(
+        model.phi,
+        model.tau / radius,
+        model.omega / radius,
+        model.tails.freedom,
+        found.price,
+        found.dof,
+    )
     return replace(
         textbook,
         p_value=p_value,

@@ -149,6 +149,8 @@ def _errors(errors: ErrorModel) -> dict[str, float]:
         'floor_ratio': errors.tau_ratio,
         'warp_ratio': errors.omega_ratio,
         'tail_freedom': errors.tail_freedom,
+        'price': errors.price,
+        'dof': errors.dof,
     }
 
 
@@ -161,6 +163,7 @@ def _change(change: Change) -> dict[str, Any]:
         'position': change.position_global.tolist(),
         'displacement': change.displacement_global.tolist(),
         'std': change.std.tolist(),
+        'covariance': change.covariance.tolist(),
         'p_value': change.p_value,
     }
 
