@@ -79,9 +79,12 @@ def _associate(
 ) -> Correspondences:
     """Sub-maps by map_id: alignments and searches are in the frame of the first of a pair."""
     known, count = number_by_id(maps, [submap.landmark_ids for submap in maps])
+    if not (by_descriptors and _comparable(maps)):
+        memory.turn()
+        return Correspondences(known, count, {})
     named = [Named(submap) for submap in maps]
     memory.turn()
-    pairs = _pairs(named, memory, config) if by_descriptors else []
+    pairs = _pairs(named, memory, config)
     matches = {(a, b): memory.match(named[a], named[b], config) for a, b in pairs}
     network = close_loops(tuple(maps), matches)
     marks = [Landmarks.of(submap) for submap in maps]
@@ -102,6 +105,13 @@ def _associate(
         count,
         network.matches,
     )
+
+
+def _comparable(maps: Sequence[SubMap]) -> bool:
+    """Whether two maps have descriptors to compare, and no ids that say it all."""
+    described = [one for one in maps if one.descriptors.type is not DescriptorType.NONE]
+    spaces = {one.id_space for one in described}
+    return len(described) > 1 and (len(spaces) > 1 or '' in spaces)
 
 
 def _pairs(

@@ -22,6 +22,7 @@ from mapmerge_ros.fusion.quadratic import members_of
 from mapmerge_ros.fusion.solution import Anchor, Solution, solve
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.verify import Noise, pool_noise, verify_merge
+from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import SubMap
 
@@ -37,6 +38,7 @@ def merge_component(
     config: FusionConfig,
     revision: int,
     stopwatch: Stopwatch,
+    warm: Warm,
 ) -> Merged:
     """
     Merge sub-maps that hang together (indices of `links` refer to them).
@@ -57,6 +59,7 @@ def merge_component(
         anchor or choose_anchor(submaps, min(submap.gauge for submap in submaps)),
         config,
         stopwatch,
+        warm,
     )
     state = first = task.attempt(association, ())
     for _ in range(MAX_ROUNDS - 1 if config.unlock else 0):
@@ -133,6 +136,7 @@ class _Task:
     anchor: Anchor
     config: FusionConfig
     stopwatch: Stopwatch
+    warm: Warm
 
     def attempt(
         self,
@@ -143,7 +147,7 @@ class _Task:
         config = replace(self.config, max_starts=1) if taken_out else self.config
         with self.stopwatch.measure('merge'):
             solution = solve(
-                self.submaps, association, self.links, self.noise, self.anchor, config
+                self.submaps, association, self.links, self.noise, self.anchor, config, self.warm
             )
         with self.stopwatch.measure('test'):
             gauge = min(submap.gauge for submap in self.submaps)

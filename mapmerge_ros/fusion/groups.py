@@ -18,6 +18,7 @@ from mapmerge_ros.fusion.outgoing import Merged
 from mapmerge_ros.fusion.overlap import Link, components
 from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.submap import SubMap
 
 FAILURES = (MapMergeError, np.linalg.LinAlgError, ArithmeticError)
@@ -40,6 +41,7 @@ class Problem:
     config: FusionConfig
     revision: int
     stopwatch: Stopwatch
+    warm: Warm
 
 
 def merge_groups(problem: Problem) -> tuple[list[tuple[Group, Merged]], list[Refusal]]:
@@ -100,6 +102,7 @@ def _merge(group: Group, problem: Problem) -> Merged:
         problem.config,
         problem.revision,
         problem.stopwatch,
+        problem.warm,
     )
 
 

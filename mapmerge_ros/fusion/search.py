@@ -13,6 +13,7 @@ from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.joint.minimise import minimise
+from mapmerge_ros.fusion.joint.resume import Start
 from mapmerge_ros.fusion.joint.start import initial_points
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.overlap import Link, components, spanning_tree
@@ -35,12 +36,13 @@ def search(
     gauge: Gauge,
     believed: Callable[[float], bool],
     config: FusionConfig,
+    start: Start | None = None,
 ) -> Estimate:
     """
     Merge from one start after the other until the test believes it; the cheapest one counts.
 
     Deterministic, and a single start where no rotation is weakly determined: a refusal is then
-    about the data.
+    about the data. `start` is where the last merge ended: it comes first, and does not count.
 
     Raises
     ------
@@ -52,6 +54,11 @@ def search(
     best: Estimate | None = None
     failure: DegenerateGeometry | None = None
     tried = 0
+    if start is not None:
+        resumed = _resumed(cost, start, gauge, config)
+        # Where there is only one basin, a refusal is about the data.
+        if resumed and (believed(resumed.cost) or is_certain(links, len(cost))):
+            return resumed
     for some in _starts(links, len(cost)):
         if tried == config.max_starts:
             break
@@ -69,6 +76,14 @@ def search(
     if best is None:
         raise failure or DegenerateGeometry('no sub-map to merge')
     return replace(best, starts=tried)
+
+
+def _resumed(cost: JointCost, start: Start, gauge: Gauge, config: FusionConfig) -> Estimate | None:
+    try:
+        found = minimise(cost, start.points, gauge, config, start)
+    except DegenerateGeometry:
+        return None
+    return found if found.converged else None
 
 
 def is_certain(links: Sequence[Link], count: int) -> bool:

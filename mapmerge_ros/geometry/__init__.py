@@ -6,8 +6,10 @@ from mapmerge_ros.geometry.alignment import Alignment, align, align_robustly
 from mapmerge_ros.geometry.gauge import Gauge, gauge_basis, generators
 from mapmerge_ros.geometry.segments import (
     Alignments,
+    Moments,
     Segments,
     Similarities,
+    align_moments,
     align_segments,
     align_segments_robustly,
 )
@@ -17,10 +19,12 @@ __all__ = [
     'Alignment',
     'Alignments',
     'Gauge',
+    'Moments',
     'Segments',
     'Similarities',
     'Similarity',
     'align',
+    'align_moments',
     'align_robustly',
     'align_segments',
     'align_segments_robustly',
