@@ -26,7 +26,7 @@ from workloads import DRONES, Workload, cached
 
 from mapmerge_ros.association import associate
 from mapmerge_ros.errors import MapMergeError
-from mapmerge_ros.fusion import FusionConfig, fuse
+from mapmerge_ros.fusion import FusionConfig, Warm, fuse
 from mapmerge_ros.fusion.associate import of_compressed
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.joint.knowledge import knowledge
@@ -67,10 +67,14 @@ def run_merge(load: Workload) -> dict[str, Any]:
     config, clock = FusionConfig(), Clock()
     found = associate(load.submaps)
     association = of_compressed(load.submaps, found.tracks)
-    links = find_links(load.submaps, association, config)
+    warm = Warm()
+    links = find_links(load.submaps, association, config, warm)
     noise = pool_noise(load.submaps)
     is_shared = association.views > 1
-    cost = JointCost.of(load.submaps, association.tracks, is_shared, noise.weights).reduced()
+    informations = warm.informations(load.submaps)
+    cost = JointCost.of(
+        load.submaps, association.tracks, is_shared, noise.weights, informations
+    ).reduced()
     gauges = 7 * (len(load.submaps) - 1)
     dof = 3 * int((association.views - 1).sum()) - gauges
     merged = search(

@@ -21,6 +21,7 @@ from mapmerge_ros.fusion.refusal import Refusal
 from mapmerge_ros.fusion.search import is_certain
 from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.submap import SubMap
 
 FAILURES = (MapMergeError, np.linalg.LinAlgError, ArithmeticError)
@@ -41,6 +42,7 @@ class Problem:
     config: FusionConfig
     revision: int
     stopwatch: Stopwatch
+    warm: Warm
 
 
 def merge_groups(problem: Problem) -> tuple[list[tuple[Group, Merged]], list[Refusal]]:
@@ -131,6 +133,7 @@ def _merge(group: Group, problem: Problem) -> Merged:
         problem.config,
         problem.revision,
         problem.stopwatch,
+        problem.warm,
     )
 
 

@@ -39,7 +39,6 @@ from mapmerge_ros.fusion.plausible import largest_variances
 from mapmerge_ros.fusion.quadratic import Quadratic
 from mapmerge_ros.fusion.scales import ScaleTest, wrong_scale
 from mapmerge_ros.fusion.tails import GAUSSIAN, are_gaussian
-from mapmerge_ros.geometry import scene_radius
 
 MIN_CONTRASTS, MAX_CONTRASTS = 50, 600
 """

@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
+from scipy.linalg.blas import dsyrk
 
-from mapmerge_ros.arrays import Floats, Mask
+from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.joint import derivatives
@@ -17,6 +19,7 @@ from mapmerge_ros.fusion.joint.cost import JointCost, State
 from mapmerge_ros.fusion.joint.dissection import dissect
 from mapmerge_ros.fusion.joint.factor import Elements, Factor, factorise
 from mapmerge_ros.fusion.joint.fronts import Fronts, plan_fronts
+from mapmerge_ros.fusion.joint.resume import Start
 from mapmerge_ros.fusion.merge import DAMPING_STEP, FIRST_DAMPING, MAX_DAMPING, Estimate
 from mapmerge_ros.geometry import Gauge, gauge_basis
 
@@ -32,27 +35,57 @@ ROUNDING = 1e-12
 """Share of the cost below which a step that does not lower it is rounding."""
 
 
+class Solver(Protocol):
+    """Stands for the inverse of a matrix."""
+
+    def solve(self, right: Floats) -> Floats:
+        """Solve for a right-hand side (size,)."""
+
+
 @dataclass(slots=True)
 class _Matrix:
     """The factor in use of the Gauss-Newton matrix, and how steps with it have gone."""
 
+    solver: Solver | None = None
+    """What stands for its inverse: a factor of it, or of that of an earlier merge"""
+    factor: Factor | None = None
+    """Last factor that was made here"""
     acceleration: Acceleration = field(default_factory=Acceleration)
     damping: float = 0.0
-    factor: Factor | None = None
     fresh: bool = False
     """Made for the current landmarks"""
+    fronts: Fronts | None = None
 
     def renew(self, damping: float = 0.0) -> None:
         """Ask for a factor of the current landmarks."""
-        self.factor, self.damping = None, damping
+        self.solver, self.damping = None, damping
         self.acceleration.forget()
 
+    def make(self, cost: JointCost, state: State, gauge: Gauge) -> None:
+        """Factorise for the current landmarks, in the memory of the last factor."""
+        self.fresh = True
+        self.fronts = self.fronts or plan(cost, state.points)
+        storage = self.factor.storage if self.factor else None
+        self.factor = None
+        try:
+            elements = gauss_newton(cost, state, gauge, self.damping)
+            self.solver = self.factor = factorise(self.fronts, elements, storage=storage)
+        except np.linalg.LinAlgError:
+            self.solver = None
 
-def minimise(cost: JointCost, points: Floats, gauge: Gauge, config: FusionConfig) -> Estimate:
+
+def minimise(
+    cost: JointCost,
+    points: Floats,
+    gauge: Gauge,
+    config: FusionConfig,
+    start: Start | None = None,
+) -> Estimate:
     """
     Minimise the cost over the landmarks, from `points` (tracks, 3).
 
-    `gauge` is that of the result: the smallest among the sub-maps.
+    `gauge` is that of the result: the smallest among the sub-maps. The matrix of an earlier
+    merge (`start`) serves as long as its steps get on.
 
     Raises
     ------
@@ -60,16 +93,16 @@ def minimise(cost: JointCost, points: Floats, gauge: Gauge, config: FusionConfig
         The landmarks are not determined by the sub-maps together.
 
     """
-    fronts = plan(cost, points)
     state = cost.evaluate(points)
-    matrix = _Matrix()
+    matrix = _Matrix(solver=start if start and start.factor else None)
     history, before = [state.cost], np.inf
     for iteration in range(1, config.max_iterations + 1):
-        matrix.fresh = matrix.factor is None
-        state, promised = _step(cost, fronts, state, matrix, gauge)
+        matrix.fresh = matrix.solver is None
+        state, promised = _step(cost, state, matrix, gauge)
         history.append(state.cost)
         if promised <= config.relative_decrease * max(state.cost, np.finfo(float).tiny):
-            return Estimate(state.points, state.cost, iteration, True, tuple(history))
+            kept = matrix.factor if matrix.factor and matrix.factor.fits else None
+            return Estimate(state.points, state.cost, iteration, True, tuple(history), matrix=kept)
         if promised > STALLED * before or matrix.damping:
             matrix.renew()
             promised = np.inf
@@ -77,17 +110,14 @@ def minimise(cost: JointCost, points: Floats, gauge: Gauge, config: FusionConfig
     return Estimate(state.points, state.cost, config.max_iterations, False, tuple(history))
 
 
-def _step(
-    cost: JointCost, fronts: Fronts, state: State, matrix: _Matrix, gauge: Gauge
-) -> tuple[State, float]:
+def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple[State, float]:
     """Return the next state and the decrease that the step promised; the same state if none."""
     gradient = derivatives.gradient(cost, state)
     while True:
-        if matrix.factor is None:
-            matrix.fresh = True
-            matrix.factor = _factorised(cost, fronts, state, matrix.damping, gauge)
-        if matrix.factor is not None:
-            step = -matrix.factor.solve(gradient.ravel()).reshape(-1, 3)
+        if matrix.solver is None:
+            matrix.make(cost, state, gauge)
+        if matrix.solver is not None:
+            step = -matrix.solver.solve(gradient.ravel()).reshape(-1, 3)
             promised = -float(np.sum(gradient * step))
             better = matrix.acceleration.improved(state.points, gradient, step)
             trial = cost.evaluate(state.points + better)
@@ -106,15 +136,6 @@ def _step(
 def _check_determined(gradient: Floats, state: State) -> None:
     if not (np.isfinite(gradient).all() and np.isfinite(state.cost)):
         raise DegenerateGeometry('a shared landmark is not determined by the sub-maps together')
-
-
-def _factorised(
-    cost: JointCost, fronts: Fronts, state: State, damping: float, gauge: Gauge
-) -> Factor | None:
-    try:
-        return factorise(fronts, gauss_newton(cost, state, gauge, damping))
-    except np.linalg.LinAlgError:
-        return None
 
 
 def plan(cost: JointCost, points: Floats, last: Mask | None = None) -> Fronts:
@@ -137,23 +158,21 @@ def gauss_newton(
 
     With a `gauge`, the frame of the result is held by the landmarks of one map in the middle.
     """
-    low_rank = derivatives.low_rank(cost, state)
+    jacobians = derivatives.Jacobians(cost, state)
     holder = _middle(cost, state.points) if gauge else -1
 
-    def element(k: int) -> Floats:
-        jacobian = derivatives.jacobian(cost, k, state, low_rank)
-        matrix: Floats = jacobian.T @ jacobian
-        diagonal = np.einsum('ii->i', matrix)
+    def element(k: int, order: Ints, out: Floats) -> None:
+        dsyrk(1.0, jacobians.of(k, order).T, c=out, lower=1, overwrite_c=1)
+        diagonal = np.einsum('ii->i', out)
         typical = diagonal.mean()
         if damping:
             diagonal *= 1.0 + damping
         if gauge and k == holder:
-            rows = cost.segments.rows(k)
+            rows = np.arange(cost.segments.ends[k], cost.segments.ends[k + 1])[order]
             used = cost.weights[rows] > 0.0
             held = gauge_basis(state.points[cost.tracks[rows][used]], gauge)
             at = np.flatnonzero(np.repeat(used, 3))
-            matrix[np.ix_(at, at)] += typical * held @ held.T
-        return matrix
+            out[np.ix_(at, at)] += typical * held @ held.T
 
     return element
 

@@ -49,6 +49,11 @@ def initial_points(
         frames = _moved(frames, tangents)
         if np.abs(tangents[:, 3:]).max() < SETTLED:
             break
+    return mean_of_members(cost, frames)
+
+
+def mean_of_members(cost: JointCost, frames: Similarities) -> Floats:
+    """Landmarks (tracks, 3) as the sub-maps see them from their frames S_global_map."""
     return _mean(cost, frames, _weights(cost, frames))
 
 
