@@ -105,7 +105,8 @@ def test_both_pictures_are_drawn(opened: Tab) -> None:
     shown = pixels(opened, MAP)
     assert kinds(shown) > 50
     assert 0.01 < (np.abs(shown - shown[0, 0]).max(axis=-1) > 20).mean() < 0.6
-    opened.run("document.querySelector('[data-do=names]').click()")
+    opened.run("document.querySelector('[data-do=showNames]').click()")
+    opened.run("document.querySelector('[data-do=showMatches]').click()")
     switch(opened, 0)
     assert coloured(pixels(opened, MAP)) > 500
     assert nearly(pixels(opened, CHANGES), (0x4B, 0x0D, 0x6B)) > 50
@@ -184,6 +185,13 @@ def test_switch_shows_the_sub_maps_as_they_were_sent(opened: Tab) -> None:
     assert coloured(before) > 2 * coloured(after)  # what several have is grey once merged
     switch(opened, 1)
     assert canvas(opened, MAP) == drawn
+
+
+def test_lines_join_the_same_landmarks_before_the_merge(opened: Tab) -> None:
+    switch(opened, 0)
+    joined = canvas(opened, MAP)
+    opened.run("document.querySelector('[data-do=showMatches]').click()")
+    assert canvas(opened, MAP) != joined
 
 
 def test_robots_can_be_hidden(opened: Tab) -> None:
