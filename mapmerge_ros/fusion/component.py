@@ -21,7 +21,7 @@ from mapmerge_ros.fusion.outgoing import Merged, compress_component
 from mapmerge_ros.fusion.overlap import Link, components
 from mapmerge_ros.fusion.solution import Anchor, Solution, solve
 from mapmerge_ros.fusion.stopwatch import Stopwatch
-from mapmerge_ros.fusion.unlock import Examined, find_off, too_much, unlocked
+from mapmerge_ros.fusion.unlock import Examined, find_doubtful, find_off, too_much, unlocked
 from mapmerge_ros.fusion.verify import Noise, pool_noise, verify_merge
 from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.geometry import Gauge, Similarity
@@ -111,13 +111,31 @@ class _State:
             set_aside=self.verdict.set_aside + aside,
         )
 
+    def examined(self) -> Examined | None:
+        """Return the examination with what relates it to the sub-maps."""
+        if self.examination is None:
+            return None
+        rows, S_global_estimate = self.solution.rows, self.solution.S_global_estimate
+        return Examined(self.examination, self.association, rows, S_global_estimate)
+
     def changes(self, submaps: Sequence[SubMap], names: Names) -> tuple[Change, ...]:
-        """Return what was taken out, where it is now."""
-        return tuple(
+        """Return what was taken out, where it is now, and what is doubtful of the rest."""
+        points = self.solution.state.points
+        found = [
             change
             for off in self.taken_out
-            for change in describe(off, submaps, self.solution.state.points, names)
-        )
+            for change in describe(off, submaps, points[off.own_tracks], names, merged=False)
+        ]
+        examined = self.examined()
+        doubtful = find_doubtful(examined) if examined and self.verdict.accepted else None
+        if doubtful is not None:
+            S_map_globals = self.solution.state.S_map_globals
+            positions = [
+                S_map_globals[k].inverse().apply(submaps[k].compressed_points[row])
+                for k, row in zip(doubtful.maps.tolist(), doubtful.rows.tolist(), strict=True)
+            ]
+            found += describe(doubtful, submaps, np.array(positions), names, merged=True)
+        return tuple(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,12 +173,9 @@ class _Task:
 
     def without_what_is_off(self, state: _State) -> _State | None:
         """Merge again without it; None if nothing is, or too much for the rest to be believed."""
-        if state.examination is None:
+        examined, solution = state.examined(), state.solution
+        if examined is None:
             return None
-        solution = state.solution
-        examined = Examined(
-            state.examination, state.association, solution.rows, solution.S_global_estimate
-        )
         before = max((int(off.objects.max()) for off in state.taken_out), default=0)
         off = find_off(examined, self.submaps, before)
         if off is None:

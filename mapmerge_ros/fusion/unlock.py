@@ -105,6 +105,17 @@ def find_off(examined: Examined, submaps: Sequence[SubMap], objects_before: int)
     )
 
 
+def find_doubtful(examined: Examined) -> Off | None:
+    """Single landmarks that are off beyond chance, and are merged nevertheless."""
+    found, tests = examined.found, examined.found.tests
+    if tests is None or not len(found.doubtful):
+        return None
+    at = found.doubtful
+    return examined.off(
+        at, tests.displacement[at], tests.covariance[at], tests.p_value[at], np.zeros_like(at)
+    )
+
+
 def too_much(taken_out: Sequence[Off], rows: Sequence[Ints]) -> Ints:
     """
     Sub-maps (indices) of which so much is off that the rest cannot be believed, most first.

@@ -172,6 +172,7 @@ def _change(change: Change) -> dict[str, Any]:
         'map_id': change.map_id,
         'kind': change.kind.name.lower(),
         'object': change.object_id or None,
+        'merged': change.merged,
         'position': change.position_global.tolist(),
         'displacement': change.displacement_global.tolist(),
         'std': change.std.tolist(),
