@@ -20,7 +20,7 @@ from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.joint.covariance import schur_complement, uncertainty
 from mapmerge_ros.fusion.joint.derivatives import gradient as gradient_of
 from mapmerge_ros.fusion.joint.dissection import dissect
-from mapmerge_ros.fusion.joint.factor import factorise
+from mapmerge_ros.fusion.joint.factorise import factorise
 from mapmerge_ros.fusion.joint.fronts import plan_fronts
 from mapmerge_ros.fusion.joint.minimise import gauss_newton, minimise, plan
 from mapmerge_ros.fusion.joint.start import initial_points

@@ -82,7 +82,7 @@ def search(
 
 def _resumed(cost: JointCost, start: Start, gauge: Gauge, config: FusionConfig) -> Estimate | None:
     try:
-        found = minimise(cost, start.points, gauge, config, start)
+        found = minimise(cost, start.points, gauge, config, start.matrix)
     except DegenerateGeometry:
         return None
     return found if found.converged else None

@@ -13,7 +13,7 @@ from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.compress import Normal
 from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.cost import JointCost, State
-from mapmerge_ros.fusion.joint.factor import factorise
+from mapmerge_ros.fusion.joint.factorise import factorise
 from mapmerge_ros.fusion.joint.fronts import Front
 from mapmerge_ros.fusion.joint.minimise import gauss_newton, plan
 from mapmerge_ros.geometry import Gauge, Similarity, gauge_basis

@@ -1,34 +1,21 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""
-Multifrontal Cholesky: one dense partial factorisation per front (Duff & Reid 1983).
-
-Only lower triangles are valid. Arrays are in Fortran order, so that LAPACK works in place.
-"""
+"""The factor of a sum of elements, front by front: solving with it, and parts of its inverse."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.blas import dsyrk, dtrmm, dtrmv
-from scipy.linalg.lapack import dlauum, dpotrf, dtrtri
+from scipy.linalg.blas import dtrmm, dtrmv, strmm, strmv
+from scipy.linalg.lapack import dlauum
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.joint.fronts import Front, Fronts, Run
-from mapmerge_ros.fusion.joint.stacks import Stacks
-
-Elements = Callable[[int, Ints, Floats], None]
-"""
-Writes the lower triangle of the symmetric matrix of one sub-map, its landmarks in a given order.
-
-The target (3s, 3s) is in Fortran order; what is above its diagonal does not matter.
-"""
-
 
 LARGEST_KEPT = 2**26
-"""Numbers of a factor that is kept for the next merge: 0.5 GB, and some 300 drones."""
+"""Numbers of a factor that is kept for the next merge: 0.25 GB, and some 300 drones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,10 +59,11 @@ class Factor:
         return self._unsorted(solved, right)
 
     def _sorted(self, right: Floats) -> Floats:
-        return np.asfortranarray(right.reshape(len(right), -1)[self.fronts.order])
+        columns = right.reshape(len(right), -1)[self.fronts.order]
+        return np.asfortranarray(columns, self.storage.dtype)
 
     def _unsorted(self, solved: Floats, right: Floats) -> Floats:
-        answer = np.empty_like(solved)
+        answer = np.empty(solved.shape)
         answer[self.fronts.order] = solved
         return answer.reshape(right.shape)
 
@@ -114,102 +102,29 @@ class Factor:
             yield front, inverse
 
 
-def factorise(
-    fronts: Fronts,
-    elements: Elements,
-    *,
-    keep_root: bool = False,
-    storage: Floats | None = None,
-) -> Factor:
-    """
-    Factorise the sum of the elements; with `keep_root` all but the landmarks at the root.
+@dataclass(frozen=True, slots=True, eq=False)
+class Carried:
+    """A factor that was made for another numbering of the landmarks, perhaps with others."""
 
-    `storage` is that of a factor of the same fronts which is not needed any more.
+    factor: Factor
+    numbers: Ints
+    """(tracks,) number of each landmark in the factor"""
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The matrix is not positive definite.
-
-    """
-    blocks: list[Block] = []
-    updates: dict[int, Floats] = {}
-    stacks = Stacks.of(fronts)
-    storage = np.empty(fronts.storage) if storage is None else storage
-    used = 0
-    for node, front in enumerate(fronts.fronts):
-        n, k = len(front.rows), front.eliminated
-        pivot = storage[used : used + k * k].reshape((k, k), order='F')
-        below = storage[used + k * k : used + n * k].reshape((n - k, k), order='F')
-        used += n * k
-        rest = stacks.push(front.depth, n - k)
-        if front.leaf >= 0:
-            _place(front, elements, pivot, below, rest)
-        else:
-            with np.errstate(all='ignore'):  # what nobody looks at may be infinite
-                _assemble(front, updates, pivot, below, rest)
-            stacks.pop(front.depth + 1, [len(updates.pop(child)) for child in front.children])
-        if keep_root and node == len(fronts.fronts) - 1:
-            root = np.tril(pivot) + np.tril(pivot, -1).T
-            return Factor(fronts, tuple(blocks), storage, root)
-        _eliminate(pivot, below, rest)
-        blocks.append(Block(pivot, below))
-        updates[node] = rest
-    return Factor(fronts, tuple(blocks), storage)
-
-
-def _place(front: Front, elements: Elements, pivot: Floats, below: Floats, rest: Floats) -> None:
-    """Element of a leaf as pivot, below and rest."""
-    k, n = len(pivot), len(front.rows)
-    if not k:
-        elements(front.leaf, front.leaf_order, rest)
-        return
-    whole = np.zeros((n, n), order='F')
-    elements(front.leaf, front.leaf_order, whole)
-    pivot[...], below[...], rest[...] = whole[:k, :k], whole[k:, :k], whole[k:, k:]
-
-
-def _assemble(
-    front: Front, updates: dict[int, Floats], pivot: Floats, below: Floats, rest: Floats
-) -> None:
-    """Sum of what the children leave (extend-add), as pivot, below and rest."""
-    k = len(pivot)
-    for part in (pivot, below, rest):
-        part[...] = 0.0
-    for child, runs in zip(front.children, front.runs, strict=True):
-        update = updates[child]
-        for j, (start, stop, column) in enumerate(runs):
-            width = slice(column, column + stop - start)
-            for low, high, row in runs[j:]:
-                part = update[low:high, start:stop]
-                end = row + high - low
-                if row < k:
-                    pivot[row:end, width] += part
-                elif column < k:
-                    below[row - k : end - k, width] += part
-                else:
-                    rest[row - k : end - k, column - k : width.stop - k] += part
-
-
-def _eliminate(pivot: Floats, below: Floats, rest: Floats) -> None:
-    """In place: pivot becomes L⁻¹, below M, rest what is left."""
-    if not len(pivot):
-        return
-    _, failed = dpotrf(pivot, lower=1, clean=1, overwrite_a=1)
-    if failed or not np.isfinite(np.diag(pivot)).all():
-        raise np.linalg.LinAlgError('a front is not positive definite')
-    # A product with the inverse is three times as fast as a triangular solve, here and later.
-    dtrtri(pivot, lower=1, overwrite_c=1)
-    if len(below):
-        dtrmm(1.0, pivot, below, side=1, lower=1, trans_a=1, overwrite_b=1)
-        dsyrk(-1.0, below, beta=1.0, c=rest, lower=1, overwrite_c=1)
+    def solve(self, right: Floats) -> Floats:
+        """Solve for a right-hand side (3 tracks,); what is gone has none."""
+        old = np.zeros((self.factor.fronts.size // 3, 3))
+        old[self.numbers] = right.reshape(-1, 3)
+        return self.factor.solve(old.ravel()).reshape(-1, 3)[self.numbers].ravel()
 
 
 def _times_lower(lower: Floats, right: Floats, transposed: int = 0) -> Floats:
     """Lower triangle or its transpose times (k, m)."""
+    exact = lower.dtype == np.float64
     if right.shape[1] == 1:
-        return np.asarray(dtrmv(lower, right[:, 0], lower=1, trans=transposed))[:, None]
-    return np.asarray(dtrmm(1.0, lower, right, lower=1, trans_a=transposed))
+        multiply = dtrmv if exact else strmv
+        return multiply(lower, right[:, 0], lower=1, trans=transposed)[:, None]
+    by_matrix = dtrmm if exact else strmm
+    return by_matrix(1.0, lower, right, lower=1, trans_a=transposed)
 
 
 def _inverse(block: Block, boundary: Floats) -> Floats:

@@ -62,6 +62,11 @@ class Fronts:
         """Numbers in a factor."""
         return sum(len(front.rows) * front.eliminated for front in self.fronts)
 
+    @property
+    def largest(self) -> int:
+        """Numbers in the largest part of a factor that one front makes."""
+        return max(len(front.rows) * front.eliminated for front in self.fronts)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Numbers:

@@ -17,18 +17,27 @@ from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.acceleration import Acceleration
 from mapmerge_ros.fusion.joint.cost import JointCost, State
 from mapmerge_ros.fusion.joint.dissection import dissect
-from mapmerge_ros.fusion.joint.factor import Elements, Factor, factorise
+from mapmerge_ros.fusion.joint.factor import Carried, Factor
+from mapmerge_ros.fusion.joint.factorise import Elements, factorise
 from mapmerge_ros.fusion.joint.fronts import Fronts, plan_fronts
-from mapmerge_ros.fusion.joint.resume import Start
 from mapmerge_ros.fusion.merge import DAMPING_STEP, FIRST_DAMPING, MAX_DAMPING, Estimate
 from mapmerge_ros.geometry import Gauge, gauge_basis
 
 STALLED = 0.5
 """
-Share of the last step's promise from which a step counts as slow, and the matrix as too old.
+Share of a new matrix' promise from which its second step counts as slow: then it is outdated at
+once, as in a bent valley, where only Gauss-Newton with a matrix for each step gets on.
+"""
 
-The promise falls with the square of the error; a tenth is a third of the error, and costs seven
-cheap steps for what one factorisation buys.
+WORTH = 25
+"""Cheap steps that cost as much as a factorisation: 20 (16 drones) to 28 (256)."""
+
+OVERSHOOT = 10.0
+"""
+By how many times its promise a step with an old matrix may raise the cost.
+
+Old and new matrix differ in the soft modes, and what a step along them shows (`Acceleration`) is
+worth more than the rise.
 """
 
 ROUNDING = 1e-12
@@ -61,6 +70,14 @@ class _Matrix:
         self.solver, self.damping = None, damping
         self.acceleration.forget()
 
+    def kept(self, carried: Carried | None) -> Carried | None:
+        """Return what the next merge may begin with."""
+        if self.factor is None:
+            return carried
+        if not self.factor.fits:
+            return None
+        return Carried(self.factor, np.arange(self.factor.fronts.size // 3))
+
     def make(self, cost: JointCost, state: State, gauge: Gauge) -> None:
         """Factorise for the current landmarks, in the memory of the last factor."""
         self.fresh = True
@@ -69,7 +86,10 @@ class _Matrix:
         self.factor = None
         try:
             elements = gauss_newton(cost, state, gauge, self.damping)
-            self.solver = self.factor = factorise(self.fronts, elements, storage=storage)
+            # Rounded after it is made, a factor is still one of a positive definite matrix.
+            self.solver = self.factor = factorise(
+                self.fronts, elements, dtype=np.float32, storage=storage
+            )
         except np.linalg.LinAlgError:
             self.solver = None
 
@@ -79,13 +99,13 @@ def minimise(
     points: Floats,
     gauge: Gauge,
     config: FusionConfig,
-    start: Start | None = None,
+    carried: Carried | None = None,
 ) -> Estimate:
     """
     Minimise the cost over the landmarks, from `points` (tracks, 3).
 
     `gauge` is that of the result: the smallest among the sub-maps. The matrix of an earlier
-    merge (`start`) serves as long as its steps get on.
+    merge (`carried`) serves as long as its steps get on.
 
     Raises
     ------
@@ -94,20 +114,31 @@ def minimise(
 
     """
     state = cost.evaluate(points)
-    matrix = _Matrix(solver=start if start and start.factor else None)
-    history, before = [state.cost], np.inf
+    matrix = _Matrix(solver=carried)
+    history, promises, own = [state.cost], list[float](), carried is None
     for iteration in range(1, config.max_iterations + 1):
         matrix.fresh = matrix.solver is None
         state, promised = _step(cost, state, matrix, gauge)
         history.append(state.cost)
-        if promised <= config.relative_decrease * max(state.cost, np.finfo(float).tiny):
-            kept = matrix.factor if matrix.factor and matrix.factor.fits else None
+        enough = config.relative_decrease * max(state.cost, np.finfo(float).tiny)
+        promises.append(promised)
+        if promised <= enough:
+            kept = matrix.kept(carried)
             return Estimate(state.points, state.cost, iteration, True, tuple(history), matrix=kept)
-        if promised > STALLED * before or matrix.damping:
+        if matrix.damping or _is_outdated(promises, enough, own):
             matrix.renew()
-            promised = np.inf
-        before = promised
+            promises, own = [], True
     return Estimate(state.points, state.cost, config.max_iterations, False, tuple(history))
+
+
+def _is_outdated(promises: list[float], enough: float, is_own: bool) -> bool:
+    """Whether a factorisation costs less than the steps that are left with this matrix."""
+    if len(promises) == 2 and is_own:
+        return promises[1] > STALLED * promises[0]
+    if len(promises) < 3:
+        return False
+    decades = np.log(promises[-3] / promises[-1]) / 2.0  # two steps, as one may well overshoot
+    return bool(np.log(promises[-1] / enough) > WORTH * decades)
 
 
 def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple[State, float]:
@@ -121,8 +152,7 @@ def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple
             promised = -float(np.sum(gradient * step))
             better = matrix.acceleration.improved(state.points, gradient, step)
             trial = cost.evaluate(state.points + better)
-            # An old matrix may overshoot; what that shows is worth more than the rise.
-            if trial.cost <= state.cost + (0.0 if matrix.fresh else promised):
+            if trial.cost <= state.cost + (0.0 if matrix.fresh else OVERSHOOT * promised):
                 return trial, promised
             if promised <= ROUNDING * state.cost:
                 return state, 0.0
@@ -172,7 +202,8 @@ def gauss_newton(
             used = cost.weights[rows] > 0.0
             held = gauge_basis(state.points[cost.tracks[rows][used]], gauge)
             at = np.flatnonzero(np.repeat(used, 3))
-            out[np.ix_(at, at)] += typical * held @ held.T
+            with np.errstate(all='ignore'):  # above the diagonal there is anything
+                out[np.ix_(at, at)] += typical * held @ held.T
 
     return element
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.fusion.joint.cost import JointCost
-from mapmerge_ros.fusion.joint.factor import Factor
+from mapmerge_ros.fusion.joint.factor import Carried
 from mapmerge_ros.fusion.joint.start import mean_of_members
 from mapmerge_ros.geometry import align_segments
 
@@ -41,8 +41,8 @@ class Resumable:
     members: Members
     points: Floats
     """(tracks, 3) where its landmarks came to lie"""
-    factor: Factor | None
-    """Of its Gauss-Newton matrix; None where that would take too much memory"""
+    matrix: Carried | None
+    """Factor of its Gauss-Newton matrix; None where that would take too much memory"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,45 +51,40 @@ class Start:
 
     points: Floats
     """(tracks, 3)"""
-    factor: Factor | None
-    before: Ints
-    """(tracks,) number in the factor; -1 for a landmark that is new"""
-
-    def solve(self, right: Floats) -> Floats:
-        """Old matrix' answer (3 tracks,); a landmark that it does not know has none."""
-        assert self.factor is not None
-        known = self.before >= 0
-        old = np.zeros((self.factor.fronts.size // 3, 3))
-        old[self.before[known]] = right.reshape(-1, 3)[known]
-        answer = np.zeros((len(known), 3))
-        answer[known] = self.factor.solve(old.ravel()).reshape(-1, 3)[self.before[known]]
-        return answer.ravel()
+    matrix: Carried | None
+    """None where there are landmarks that it knows nothing of"""
 
 
 def resume(cost: JointCost, members: Members, last: Resumable) -> Start | None:
     """
     Start from the last merge; None where that does not determine the frame of some sub-map.
 
-    Landmarks that are new lie where their sub-maps see them, placed by all others.
+    Landmarks that are new lie where sub-maps see them that the others place.
     """
     before = _before(members, last.members, cost.count)
-    points = np.zeros((cost.count, 3))
+    points = np.full((cost.count, 3), np.nan)
     known = before >= 0
     points[known] = last.points[before[known]]
     if known.all():
-        return Start(points, last.factor, before)
-    weights = np.where(known[cost.tracks], cost.weights, 0.0)
-    if not (cost.segments.counts(weights > 0.0) > 0).all():
-        return None
-    placed = align_segments(
-        points[cost.tracks], cost.points_map, cost.segments, cost.gauges, weights
-    )
-    if not placed.determined.all():
-        return None
-    means = mean_of_members(cost, placed.S_target_source)
-    points[~known] = means[~known]
-    # The old matrix says nothing of how new landmarks hang together with the others.
-    return Start(points, None, before)
+        carried = last.matrix and Carried(last.matrix.factor, last.matrix.numbers[before])
+        return Start(points, carried)
+    while not known.all():
+        weights = np.where(known[cost.tracks], cost.weights, 0.0)
+        placed = align_segments(
+            np.where(known[cost.tracks, None], points[cost.tracks], 0.0),
+            cost.points_map,
+            cost.segments,
+            cost.gauges,
+            weights,
+        )
+        sure = placed.determined[cost.segments.owners]
+        seen = np.bincount(cost.tracks, weights=sure, minlength=cost.count) > 0
+        if not (seen & ~known).any():
+            return None
+        means = mean_of_members(cost, placed.S_target_source, sure)
+        points[seen & ~known] = means[seen & ~known]
+        known |= seen
+    return Start(points, None)
 
 
 def _before(new: Members, old: Members, count: int) -> Ints:
