@@ -168,7 +168,8 @@ def test_a_map_that_is_wrong_as_a_whole_is_not_explained_away():
     )
     submaps[1] = replace(submaps[1], points=points)
     fusion = fuse(submaps)
-    assert not fusion.verdict.accepted
+    assert [item.submap.map_id for item in fusion.quarantined] == [submaps[1].map_id]
+    assert not fuse(submaps, FusionConfig(unlock=False)).verdict.accepted
 
 
 def test_the_summary_lists_changes():
@@ -185,6 +186,27 @@ def test_without_unlocking_the_merge_is_refused():
     fusion = fuse(moved_fleet(1).submaps(), FusionConfig(unlock=False))
     assert not fusion.verdict.accepted
     assert fusion.changes == ()
+
+
+@pytest.mark.parametrize(('size', 'stays'), [(7.0, True), (30.0, False)])
+def test_a_single_landmark_is_told_whether_it_is_taken_out_or_not(size, stays):
+    submaps = list(simulate_fleet(FleetConfig(), 4).submaps(catalogue=False))
+    fusion, k = fuse(submaps), 1
+    association = fusion.components[0].association
+    shared = np.flatnonzero((association.views > 1)[association.tracks[k]])
+    row = int(shared[7])
+    std = submaps[k].sigma / np.linalg.norm(submaps[k].triangle()[:, 3 * row])
+    points = submaps[k].points.copy()
+    points[row, 0] += size * std  # of this coordinate, all others known
+    submaps[k] = replace(submaps[k], points=points)
+    told = {change.landmark_id: change for change in fuse(submaps).changes}
+    assert len(told) <= 2
+    change = told[int(submaps[k].compressed_ids[row])]
+    assert (change.kind, change.object_id) == (Kind.DOUBTFUL, 0)
+    assert change.merged is stays
+    moved = size * std * fusion.alignments[k].S_global_map.scale
+    assert np.linalg.norm(change.displacement_global) == pytest.approx(moved, rel=0.5)
+    assert change.p_value < 1e-3
 
 
 def test_the_order_of_the_maps_changes_nothing():

@@ -101,10 +101,14 @@ def test_page_opens_without_errors_and_without_the_network(opened: Tab, page: Pa
 
 
 def test_both_pictures_are_drawn(opened: Tab) -> None:
-    """The map has the colours of both robots; arrows have that of their p-value."""
+    """Points have the colours of the robots before the merge; arrows have that of their p."""
     shown = pixels(opened, MAP)
     assert kinds(shown) > 50
     assert 0.01 < (np.abs(shown - shown[0, 0]).max(axis=-1) > 20).mean() < 0.6
+    opened.run("document.querySelector('[data-do=showNames]').click()")
+    opened.run("document.querySelector('[data-do=showMatches]').click()")
+    switch(opened, 0)
+    assert coloured(pixels(opened, MAP)) > 500
     assert nearly(pixels(opened, CHANGES), (0x4B, 0x0D, 0x6B)) > 50
 
 
@@ -120,6 +124,16 @@ def test_all_sections_fit_the_screen(opened: Tab, width: int) -> None:
     wide = "[...document.querySelectorAll('.wide')].filter(e => e.scrollWidth > e.clientWidth)"
     assert opened.run(f'{wide}.length') == 0
     assert kinds(pixels(opened, MAP)) > 50
+
+
+def test_long_names_do_not_widen_a_phone(opened: Tab, tmp_path: Path) -> None:
+    long = [
+        replace(own, map_id=f'inspection_of_the_northern_yard_{own.map_id}', robot_id='r' * 50)
+        for own in submaps()
+    ]
+    opened.resize(390, 844, phone=True)
+    opened.open(written(fuse(long), tmp_path, 'b' * 90))
+    assert opened.run('document.documentElement.scrollWidth') == 390
 
 
 def test_mouse_turns_moves_and_zooms(opened: Tab) -> None:
@@ -171,6 +185,13 @@ def test_switch_shows_the_sub_maps_as_they_were_sent(opened: Tab) -> None:
     assert coloured(before) > 2 * coloured(after)  # what several have is grey once merged
     switch(opened, 1)
     assert canvas(opened, MAP) == drawn
+
+
+def test_lines_join_the_same_landmarks_before_the_merge(opened: Tab) -> None:
+    switch(opened, 0)
+    joined = canvas(opened, MAP)
+    opened.run("document.querySelector('[data-do=showMatches]').click()")
+    assert canvas(opened, MAP) != joined
 
 
 def test_robots_can_be_hidden(opened: Tab) -> None:

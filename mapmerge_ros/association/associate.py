@@ -111,7 +111,7 @@ def _described(maps: Sequence[SubMap]) -> list[int]:
     """Sub-maps with descriptors, unless ids say all that there is to say of them."""
     found = [k for k, own in enumerate(maps) if own.descriptors.type is not DescriptorType.NONE]
     spaces = [maps[k].id_space for k in found]
-    return found if len(set(spaces)) > 1 or '' in spaces else []
+    return found if len(found) > 1 and (len(set(spaces)) > 1 or '' in spaces) else []
 
 
 def _pairs(

@@ -45,6 +45,8 @@ class Change:
     object_id: int
     """Equal numbers: one object; 0: none"""
     kind: Kind
+    merged: bool = False
+    """Whether it is held equal to the others all the same: it may be one bad track of many"""
 
     @property
     def std(self) -> Floats:
@@ -62,6 +64,8 @@ class Off:
     """(m,) row among its compressed landmarks"""
     tracks: Ints
     """(m,) track that held them; the others keep it"""
+    partners: Ints
+    """(m,) the only other sub-map that has it; -1: several have"""
     own_tracks: Ints
     """(m,) track of their own, once they are taken out of the merge"""
     displacements_global: Floats
@@ -78,21 +82,22 @@ class Off:
 
 
 def describe(
-    off: Off, submaps: Sequence[SubMap], points_global: Floats, names: Names
+    off: Off, submaps: Sequence[SubMap], positions_global: Floats, names: Names, *, merged: bool
 ) -> tuple[Change, ...]:
-    """Tell where all that was taken out is; `points_global` (tracks, 3) are as merged without."""
+    """Tell where the landmarks that are off (m,) are: their sub-map has them there (m, 3)."""
     return tuple(
         Change(
             map_id=submaps[k].map_id,
             revision=submaps[k].revision,
             landmark_id=int(submaps[k].compressed_ids[row]),
             global_id=int(names.ids[k][row]),
-            position_global=points_global[off.own_tracks[at]],
+            position_global=positions_global[at],
             displacement_global=off.displacements_global[at],
             covariance=off.covariances_global[at],
             p_value=float(off.p_values[at]),
             object_id=int(off.objects[at]),
             kind=Kind.MOVED if off.objects[at] else Kind.DOUBTFUL,
+            merged=merged,
         )
         for at, (k, row) in enumerate(zip(off.maps.tolist(), off.rows.tolist(), strict=True))
     )

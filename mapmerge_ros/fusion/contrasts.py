@@ -122,7 +122,7 @@ class Contrasts:
             self.smooth[np.ix_(rows, rows)],
             np.linalg.qr(self.frames[at])[0],
             self.unit,
-            _pairs(helmert),
+            same_member_pairs(helmert),
         )
 
 
@@ -173,7 +173,7 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
         smooth=smooth,
         frames=left,
         unit=unit,
-        pairs=_pairs(helmert),
+        pairs=same_member_pairs(helmert),
     )
 
 
@@ -222,7 +222,8 @@ def _helmert(tracks: Ints, views: Ints) -> tuple[scipy.sparse.csr_array, Ints]:
     return matrix, tracks[order][later]
 
 
-def _pairs(helmert: scipy.sparse.csr_array) -> tuple[Ints, Ints, Ints, Floats]:
+def same_member_pairs(helmert: scipy.sparse.csr_array) -> tuple[Ints, Ints, Ints, Floats]:
+    """`Contrasts.pairs` of some contrasts."""
     by_member = helmert.tocsc()
     counts = np.diff(by_member.indptr)
     firsts = np.repeat(np.arange(by_member.nnz), np.repeat(counts, counts))

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mapmerge_ros.association import Correspondences, Decision, PairMatch
-from mapmerge_ros.fusion.outcome import Refusal
+from mapmerge_ros.fusion.refusal import Refusal
 from mapmerge_ros.geometry import scene_radius
 from mapmerge_ros.submap import SubMap
 

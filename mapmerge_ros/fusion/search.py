@@ -13,6 +13,7 @@ from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.joint.minimise import minimise
+from mapmerge_ros.fusion.joint.resume import Start
 from mapmerge_ros.fusion.joint.start import STEPS, initial_points
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.overlap import Link, components, spanning_tree
@@ -35,6 +36,7 @@ def search(
     gauge: Gauge,
     believed: Callable[[float], bool],
     config: FusionConfig,
+    start: Start | None = None,
 ) -> Estimate:
     """
     Merge from one start after the other until the test believes it; the cheapest one counts.
@@ -42,6 +44,7 @@ def search(
     Deterministic, and a single start where no rotation is weakly determined: a refusal is then
     about the data. Where one is, noise explains wrong basins too: two starts at least, of which
     the cheaper is the right one in 10 of the 11 narrow rooms of 1000 where they disagree.
+    `start` is where the last merge ended: it comes first, and does not count.
 
     Raises
     ------
@@ -52,6 +55,11 @@ def search(
     gauges = [Gauge(int(own)) for own in cost.gauges]
     best: Estimate | None = None
     failure: DegenerateGeometry | None = None
+    if start is not None:
+        resumed = _resumed(cost, start, gauge, config)
+        # Where there is only one basin, a refusal is about the data.
+        if resumed and (believed(resumed.cost) or is_certain(links, len(cost))):
+            return resumed
     tried, least = 0, 1 if is_certain(links, len(cost)) else 2
     for some, steps in _starts(links, len(cost)):
         if tried == config.max_starts:
@@ -70,6 +78,14 @@ def search(
     if best is None:
         raise failure or DegenerateGeometry('no sub-map to merge')
     return replace(best, starts=tried)
+
+
+def _resumed(cost: JointCost, start: Start, gauge: Gauge, config: FusionConfig) -> Estimate | None:
+    try:
+        found = minimise(cost, start.points, gauge, config, start.matrix)
+    except DegenerateGeometry:
+        return None
+    return found if found.converged else None
 
 
 def is_certain(links: Sequence[Link], count: int) -> bool:

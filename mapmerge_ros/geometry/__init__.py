@@ -8,8 +8,10 @@ from mapmerge_ros.geometry.gauge import Gauge, gauge_basis, generators
 from mapmerge_ros.geometry.graph import FrameGraph
 from mapmerge_ros.geometry.segments import (
     Alignments,
+    Moments,
     Segments,
     Similarities,
+    align_moments,
     align_segments,
     align_segments_robustly,
 )
@@ -20,10 +22,12 @@ __all__ = [
     'Alignments',
     'FrameGraph',
     'Gauge',
+    'Moments',
     'Segments',
     'Similarities',
     'Similarity',
     'align',
+    'align_moments',
     'align_robustly',
     'align_segments',
     'align_segments_robustly',

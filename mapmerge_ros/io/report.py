@@ -27,7 +27,7 @@ from mapmerge_ros.io.moved_objects import moved_objects
 from mapmerge_ros.io.palette import Rgb, hexadecimal, map_colours
 from mapmerge_ros.io.report_values import p_value, short, value
 from mapmerge_ros.io.scene import Scene, make_scene
-from mapmerge_ros.io.scene_data import scene_data, square_size
+from mapmerge_ros.io.scene_data import MAX_MATCHES, scene_data, square_size
 from mapmerge_ros.io.wording import against_truth, belief, counted, headline, left_out, what_moved
 
 MAX_MATRIX = 16
@@ -36,7 +36,7 @@ MAX_PAIRS = 40
 MAX_CHANGES = 200
 """Rows of the table of single landmarks that moved."""
 
-SCRIPTS = ('viewer.js', 'scenes.js', 'hands.js', 'start.js')
+SCRIPTS = ('viewer.js', 'scenes.js', 'changes.js', 'hands.js', 'start.js')
 """In the order in which a page needs them."""
 
 _BECAME = {'REFUSED': 'was refused', 'DETACHED': 'stays apart', 'QUARANTINED': 'is quarantined'}
@@ -94,6 +94,7 @@ def _pictures(fusion: Fusion, scene: Scene, summary: Mapping[str, Any]) -> dict[
         'gauge': int(gauge),
         'legend': _legend(scene, palette, by_robot),
         'legend_of': 'robot' if by_robot else 'sub-map',
+        'max_matches': MAX_MATCHES,
         'square': f'{square_size(scene):g} {unit}',
     }
 

@@ -11,7 +11,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.fusion import Fusion, MapAlignment
 from mapmerge_ros.geometry import Gauge
-from mapmerge_ros.io.map_points import map_points
+from mapmerge_ros.io.map_points import MapPoints, map_points
 from mapmerge_ros.io.viewpoint import Viewpoint, viewpoint
 
 MAX_POINTS = 60_000
@@ -29,6 +29,8 @@ FILLED, GAP = 0.38, 0.3
 MIN_COLUMNS, MAX_COLUMNS = 5, 14
 """Of the sub-maps that are apart."""
 
+NOWHERE = -1
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
@@ -43,12 +45,23 @@ class Scene:
     """(n, 3) in the merged map; sub-maps that are not in it side by side below"""
     owners: Ints
     """(n,) index into `alignments`"""
+    slots: Ints
+    """(n,) point of the merged map, or NOWHERE where the sub-map is not in it"""
     is_shared: Mask
     """(n,) whether other sub-maps have the point too"""
     is_landmark: Mask
     """(n,) whether it is a merged landmark"""
     total: int
     """Points before strays and what is too much for a screen were left out"""
+
+    def same_points(self, most: int) -> Ints:
+        """Rows (m, 2) of points that are one in the merged map, at most so many of them."""
+        order = np.argsort(self.slots, kind='stable')
+        slots = self.slots[order]
+        same = np.flatnonzero((slots[1:] == slots[:-1]) & (slots[1:] != NOWHERE))
+        if len(same) > most:
+            same = same[np.linspace(0, len(same) - 1, most).astype(int)]
+        return np.stack([order[same], order[same + 1]], axis=1)
 
 
 def make_scene(fusion: Fusion, max_points: int = MAX_POINTS) -> Scene:
@@ -67,17 +80,15 @@ def make_scene(fusion: Fusion, max_points: int = MAX_POINTS) -> Scene:
         rows = slots.get(item.submap.map_id)
         if rows is None:
             x, y, size = below[apart.index(item)]
-            merged = size * own + np.array([x, y, 0.0])
-            parts.append((sent, merged, own, *np.zeros((2, len(own)), bool)))
+            merged, rows = size * own + np.array([x, y, 0.0]), np.full(len(own), NOWHERE)
         else:
             merged = view.points(points.points_global[rows])
-            is_shared, is_landmark = points.views[rows] > 1, rows < points.landmark_count
-            parts.append((sent, merged, own, is_shared, is_landmark))
-    return _chosen(shown, view, parts, max_points)
+        parts.append((sent, merged, own, rows))
+    return _chosen(shown, view, points, parts, max_points)
 
 
-_Part = tuple[Floats, Floats, Floats, Mask, Mask]
-"""Of one sub-map: sent, merged, in its own frame, shared, landmark."""
+_Part = tuple[Floats, Floats, Floats, Ints]
+"""Of one sub-map: its points as sent, merged, in its own frame; which points of the map."""
 
 
 def _in_own_frame(item: MapAlignment) -> Floats:
@@ -119,27 +130,33 @@ def _below(count: int) -> list[tuple[float, float, float]]:
 
 
 def _chosen(
-    shown: tuple[MapAlignment, ...], view: Viewpoint, parts: list[_Part], max_points: int
+    shown: tuple[MapAlignment, ...],
+    view: Viewpoint,
+    points: MapPoints,
+    parts: list[_Part],
+    max_points: int,
 ) -> Scene:
     counts = [len(part[0]) for part in parts]
-    empty = (np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), *np.zeros((2, 0), bool))
-    sent, merged, own, is_shared, is_landmark = (
+    empty = (*np.zeros((3, 0, 3)), np.zeros(0, int))
+    sent, merged, own, slots = (
         np.concatenate(arrays) for arrays in zip(empty, *parts, strict=True)
     )
-    limits = np.abs(own).max(axis=1) < MAX_RADII, np.abs(merged).max(axis=1) < MAX_RADII
-    near = np.flatnonzero(limits[0] & limits[1])
-    first = near[is_landmark[near]][:max_points]
-    others = near[~is_landmark[near]]
+    is_landmark = (slots != NOWHERE) & (slots < points.landmark_count)
+    is_stray = np.maximum(np.abs(own), np.abs(merged)).max(axis=1) >= MAX_RADII
+    first = np.flatnonzero(is_landmark & ~is_stray)[:max_points]
+    others = np.flatnonzero(~is_landmark & ~is_stray)
     room = min(len(others), max_points - len(first))
     spread = others[np.linspace(0, len(others) - 1, room).astype(int)] if room else others[:0]
     rows = np.sort(np.concatenate([first, spread]))
+    views = np.append(points.views, 0)  # the last is that of a point that is nowhere
     return Scene(
         alignments=shown,
         viewpoint=view,
         sent=sent[rows],
         merged=merged[rows],
         owners=np.repeat(np.arange(len(shown)), counts)[rows],
-        is_shared=is_shared[rows],
+        slots=slots[rows],
+        is_shared=views[slots[rows]] > 1,
         is_landmark=is_landmark[rows],
         total=sum(counts),
     )

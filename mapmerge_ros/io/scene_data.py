@@ -20,6 +20,9 @@ from mapmerge_ros.io.scene import Scene
 MAX_LINKS = 400
 """Lines between sub-maps; those with most in common."""
 
+MAX_MATCHES = 1200
+"""Lines between the places where two sub-maps have the same point."""
+
 SHARED_BIT, LANDMARK_BIT = 1 << 15, 1 << 14
 """Of the number that says whose a point is; the rest of it is the sub-map."""
 
@@ -41,6 +44,7 @@ def scene_data(
         'sent': packed(scene.sent),
         'merged': packed(scene.merged),
         'owners': _text(scene.owners + flags),
+        'matches': _text(scene.same_points(MAX_MATCHES)),
         'floor': _floor(scene),
         'changes': _changes(scene, changes),
     }

@@ -15,7 +15,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from mapmerge_ros.arrays import Floats
-from mapmerge_ros.fusion import Fusion, Kind, MapAlignment, State
+from mapmerge_ros.fusion import Fusion, MapAlignment, State
 from mapmerge_ros.geometry import scene_radius
 from mapmerge_ros.io.palette import SHARED, Rgb
 from mapmerge_ros.nodes.cloud import robot_colours
@@ -28,7 +28,9 @@ TEXT_RATIO, FRAME_RATIO, LINK_RATIO = 0.03, 0.015, 0.004
 STANDARD_DEVIATIONS = 2.0
 """Half axis of an ellipsoid: about three quarters of the truth lie inside in space."""
 
-CHANGE_COLOURS: dict[Kind, Rgb] = {Kind.MOVED: (220, 30, 30), Kind.DOUBTFUL: (240, 180, 60)}
+CERTAIN, DOUBTFUL = (220, 30, 30), (240, 180, 60)
+LEAST_LOG_P = -12.0
+"""Colour of a change, by its p-value: from 1 to a millionth of a millionth."""
 
 LARGEST_RATIO = 0.25
 """Largest half axis drawn, of the extent of the map: a point near infinity must not hide it."""
@@ -120,12 +122,15 @@ class Drawing:
     def _changes(self, extent: float) -> Iterator[Any]:
         """Arrows from where the others have a landmark to where one sub-map has it."""
         for k, change in enumerate(self.fusion.changes):
-            marker = self._marker('changes', k, Marker.ARROW, CHANGE_COLOURS[change.kind], 1.0)
+            colour = colour_of(change.p_value)
+            marker = self._marker('changes', k, Marker.ARROW, colour, 1.0)
             tip = change.position_global
             marker.points = [point(tip - change.displacement_global), point(tip)]
             width = LINK_RATIO * extent
             marker.scale = Vector3(x=width, y=3.0 * width, z=0.0)
             yield marker
+            if k < self.max_ellipsoids:
+                yield self._ellipsoid('change_std', k, tip, change.covariance, colour, extent)
 
     def _ellipsoid(
         self,
@@ -142,6 +147,13 @@ class Drawing:
         marker.pose.orientation = quaternion(rotation)
         marker.scale = vector(diameters)
         return marker
+
+
+def colour_of(p_value: float) -> Rgb:
+    """Colour of a change: the redder, the less it may be chance."""
+    share = min(float(np.log10(max(p_value, 1e-300))) / LEAST_LOG_P, 1.0)
+    r, g, b = (round(a + share * (b - a)) for a, b in zip(DOUBTFUL, CERTAIN, strict=True))
+    return r, g, b
 
 
 def axes(covariance: Floats, largest: float) -> tuple[Floats, Floats]:

@@ -49,7 +49,20 @@ def initial_points(
         frames = _moved(frames, tangents)
         if np.abs(tangents[:, 3:]).max() < SETTLED:
             break
-    return _mean(cost, frames, _weights(cost, frames))
+    return mean_of_members(cost, frames)
+
+
+def mean_of_members(cost: JointCost, frames: Similarities, counts: Mask | None = None) -> Floats:
+    """
+    Landmarks (tracks, 3) as the sub-maps see them from their frames S_global_map.
+
+    Only some members (rows,) may count; nan where none of a landmark does.
+    """
+    weights = _weights(cost, frames)
+    if counts is not None:
+        weights = weights * counts
+    with np.errstate(invalid='ignore'):
+        return _mean(cost, frames, weights)
 
 
 def _weights(cost: JointCost, frames: Similarities) -> Floats:

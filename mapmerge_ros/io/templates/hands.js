@@ -69,10 +69,12 @@ function handle(picture) {
   for (const radio of box.querySelectorAll('input[type=radio]')) {
     radio.addEventListener('change', () => picture.morph(Number(radio.value)));
   }
-  box.querySelector('[data-do=names]')?.addEventListener('change', event => {
-    picture.showNames = event.target.checked;
-    picture.redraw();
-  });
+  for (const tick of box.querySelectorAll('input[type=checkbox]')) {
+    tick.addEventListener('change', () => {
+      picture[tick.dataset.do] = tick.checked;
+      picture.redraw();
+    });
+  }
   for (const button of box.querySelectorAll('button[data-object]')) {
     button.disabled = false;
     button.addEventListener('click', () => picture.visit(Number(button.dataset.object)));
