@@ -1,6 +1,6 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures of the tests on real topics; ROS is imported where one of them is asked for."""
+"""Fixtures of the tests on real topics; ROS is imported only where one of them is asked for."""
 
 from __future__ import annotations
 
@@ -15,6 +15,14 @@ from mapmerge_ros.submap import SubMap
 
 if TYPE_CHECKING:
     from ros_processes import Observer
+
+
+def pytest_configure() -> None:
+    """Compute in one BLAS thread: two on small matrices cost ten times as much where it is busy."""
+    import scipy.linalg  # noqa: F401 - its BLAS is not that of numpy
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1, user_api='blas')
 
 
 @pytest.fixture(scope='session')

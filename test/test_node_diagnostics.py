@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from ros_processes import spin_until
 from test_node_fleets import S, submap_of
 
+from mapmerge_ros.io import encode_submap
 from mapmerge_ros.nodes.diagnostics import REFUSAL_WARNS_NS, Health
 from mapmerge_ros.nodes.ledger import Ledger
 from mapmerge_ros.submap import SubMap
@@ -56,6 +58,9 @@ def test_every_value_is_explained_and_every_robot_has_its_reason(nodes: list[Any
     assert (values['topic'], values['maps'], values['revision']) == ('/d1/submap', '1', 'd1/0:1')
     assert int(values['landmarks']) == 40
     assert float(values['bytes_per_s']) > 0.0
+    submap = submap_of(0, 1, 1, S)
+    ratio = 4 * submap.residual_count / len(encode_submap(submap))
+    assert float(values['compression_ratio']) == pytest.approx(ratio, rel=5e-3)
 
     level, message, values = observer.diagnostics['/fusion_node: robot d9']
     assert (level, values['state']) == (WARN, 'detached')
