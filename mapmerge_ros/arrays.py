@@ -25,7 +25,7 @@ def frozen(
     shape: tuple[int | None, ...],
 ) -> npt.NDArray[Any]:
     """
-    Return a read-only copy of `values`, checked.
+    Return a read-only copy of `values`, checked; what nobody can write to is not copied.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def frozen(
         Wrong shape, or a value that is not finite.
 
     """
-    array = np.array(values, dtype=dtype, order='C')
+    array = values if _lasts(values, dtype) else np.array(values, dtype=dtype, order='C')
     if array.shape == (0,):  # an empty list has no columns of its own
         array = array.reshape((0, *(n or 0 for n in shape[1:])))
     matches = array.ndim == len(shape) and all(
@@ -50,8 +50,20 @@ def frozen(
         wanted = ' x '.join('n' if n is None else str(n) for n in shape)
         got = ' x '.join(map(str, array.shape)) or 'a scalar'
         raise InvalidValue(f'{name}: expected {wanted} values, got {got}')
-    if np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all():
+    if array.dtype.kind == 'f' and not np.isfinite(array).all():
         bad = int(np.flatnonzero(~np.isfinite(array).ravel())[0])
         raise InvalidValue(f'{name}: value {bad} is not finite')
     array.flags.writeable = False
     return array
+
+
+def _lasts(values: Any, dtype: npt.DTypeLike) -> bool:
+    """Whether this is an array of the type that views `bytes`, as those of a message do."""
+    if not isinstance(values, np.ndarray) or values.dtype != dtype:
+        return False
+    base: Any = values.base
+    while isinstance(base, np.ndarray):
+        base = base.base
+    if isinstance(base, memoryview):
+        base = base.obj
+    return isinstance(base, bytes) and values.flags.aligned and values.flags.c_contiguous

@@ -23,6 +23,7 @@ from mapmerge_ros.fusion.solution import Anchor, Solution, solve
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.unlock import Examined, find_doubtful, find_off, too_much, unlocked
 from mapmerge_ros.fusion.verify import Noise, pool_noise, verify_merge
+from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import SubMap
 
@@ -38,6 +39,7 @@ def merge_component(
     config: FusionConfig,
     revision: int,
     stopwatch: Stopwatch,
+    warm: Warm,
 ) -> Merged:
     """
     Merge sub-maps that hang together (indices of `links` refer to them).
@@ -58,6 +60,7 @@ def merge_component(
         anchor or choose_anchor(submaps, min(submap.gauge for submap in submaps)),
         config,
         stopwatch,
+        warm,
     )
     state = first = task.attempt(association, ())
     for _ in range(MAX_ROUNDS - 1 if config.unlock else 0):
@@ -145,13 +148,14 @@ class _Task:
     anchor: Anchor
     config: FusionConfig
     stopwatch: Stopwatch
+    warm: Warm
 
     def attempt(self, association: Association, taken_out: tuple[Off, ...]) -> _State:
         # A basin that was believed before is not looked for again.
         config = replace(self.config, max_starts=1) if taken_out else self.config
         with self.stopwatch.measure('merge'):
             solution = solve(
-                self.submaps, association, self.links, self.noise, self.anchor, config
+                self.submaps, association, self.links, self.noise, self.anchor, config, self.warm
             )
         with self.stopwatch.measure('test'):
             gauge = min(submap.gauge for submap in self.submaps)

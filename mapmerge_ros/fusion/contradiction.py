@@ -10,11 +10,10 @@ import numpy as np
 
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.associate import Association
-from mapmerge_ros.fusion.contrasts import scene_radius
 from mapmerge_ros.fusion.outgoing import Merged
 from mapmerge_ros.fusion.quarantine import Trial
 from mapmerge_ros.fusion.refusal import Quarantine, Refusal
-from mapmerge_ros.geometry import align_robustly
+from mapmerge_ros.geometry import align_robustly, scene_radius
 from mapmerge_ros.submap import SubMap
 
 MOST_NAMED = 3

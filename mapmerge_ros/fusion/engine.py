@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from mapmerge_ros.association import Correspondences, Memory, associate
+from mapmerge_ros.association import Correspondences, associate
 from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.fusion.accumulate import Receipt, Store, without_duplicates
 from mapmerge_ros.fusion.asking import Asking
@@ -28,6 +28,7 @@ from mapmerge_ros.fusion.requests import Denial, plan_requests
 from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.fusion.states import aligned, left_out
 from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import Request, SubMap
 
@@ -48,29 +49,30 @@ class Snapshot:
 def fuse(
     submaps: Iterable[SubMap] | Snapshot,
     config: FusionConfig | None = None,
-    memory: Memory | None = None,
+    warm: Warm | None = None,
 ) -> Fusion:
     """
     Merge sub-maps into one map per connected component, and test each.
 
-    `memory` keeps what was found about pairs of sub-maps for the next time.
+    `warm` keeps what was found about pairs of sub-maps, and where the merge ended, for the next
+    time. With it the result is the same but for what the merge leaves of its last step.
 
     The result does not depend on the order of the sub-maps, nor on any of their frames and
     scales (the frame of the result is that of the oldest sub-map of the smallest gauge).
     """
     config = config or FusionConfig()
     snapshot = submaps if isinstance(submaps, Snapshot) else Snapshot(tuple(submaps))
-    stopwatch = Stopwatch()
+    stopwatch, warm = Stopwatch(), Warm() if warm is None else warm
     with stopwatch.measure('associate'):
         known, refusals = without_duplicates(snapshot.submaps)
-        found = associate(known, memory=memory, by_descriptors=config.match_descriptors)
+        found = associate(known, memory=warm, by_descriptors=config.match_descriptors)
         kept, copies = without_copies(known, found)
         found = found.restricted([known.index(submap) for submap in kept])
         usable = tuple(submap for submap in kept if submap.compressed_count)
         association = of_compressed(
             usable, [found.tracks[k] for k, own in enumerate(kept) if own.compressed_count]
         )
-        links = find_links(usable, association, config)
+        links = find_links(usable, association, config, warm)
         named = _named_contradictions(usable, association, links)
         association = split_contradictions(
             association, [(link.a, link.b, link.contradicting) for link in links]
@@ -85,6 +87,7 @@ def fuse(
             config,
             snapshot.revision,
             stopwatch,
+            warm,
         )
     )
     matches = _matches(kept, found)
@@ -116,7 +119,7 @@ class FusionEngine:
         self.config = config or FusionConfig()
         self._store = Store(self.config.map_id)
         self.asking = Asking(self.config)
-        self.memory = Memory()
+        self.memory = Warm()
         self._anchor: Anchor | None = None
         self._frames: Mapping[str, Similarity] = {}
         self._revision = revision

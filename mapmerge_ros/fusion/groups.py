@@ -21,6 +21,7 @@ from mapmerge_ros.fusion.refusal import Refusal
 from mapmerge_ros.fusion.search import is_certain
 from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import SubMap
 
@@ -44,6 +45,7 @@ class Problem:
     config: FusionConfig
     revision: int
     stopwatch: Stopwatch
+    warm: Warm
 
 
 def merge_groups(problem: Problem) -> tuple[list[tuple[Group, Merged]], list[Refusal]]:
@@ -134,6 +136,7 @@ def _merge(group: Group, problem: Problem) -> Merged:
         problem.config,
         problem.revision,
         problem.stopwatch,
+        problem.warm,
     )
 
 

@@ -62,6 +62,10 @@ class ErrorModel:
     """Smooth warp of every sub-map, of the scene radius"""
     tail_freedom: float
     """ν of F(3, ν), which single landmarks follow; inf: Gaussian"""
+    price: float = float(np.nan)
+    """Of merging, in units of what these errors explain: `dof` is expected"""
+    dof: int = 0
+    """Of that price: without the landmarks that are set aside"""
 
 
 @dataclass(frozen=True, slots=True)

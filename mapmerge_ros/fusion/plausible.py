@@ -7,8 +7,9 @@ from __future__ import annotations
 import numpy as np
 
 from mapmerge_ros.arrays import Floats
-from mapmerge_ros.fusion.contrasts import Contrasts, scene_radius
+from mapmerge_ros.fusion.contrasts import Contrasts
 from mapmerge_ros.fusion.quadratic import Quadratic
+from mapmerge_ros.geometry import scene_radius
 
 MAX_PHI, MAX_TAU_UNITS, MAX_OMEGA_RADII = 2.5, 1.0, 5e-3
 """

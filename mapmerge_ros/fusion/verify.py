@@ -13,7 +13,6 @@ import scipy.stats
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.contrasts import scene_radius
 from mapmerge_ros.fusion.honest import (
     MAX_TRACKS,
     TESTED_FIRST,
@@ -28,7 +27,7 @@ from mapmerge_ros.fusion.outcome import ErrorModel, Verdict
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.quadratic import Quadratic, quadratic
 from mapmerge_ros.fusion.search import is_certain
-from mapmerge_ros.geometry import Gauge
+from mapmerge_ros.geometry import Gauge, scene_radius
 from mapmerge_ros.submap import SubMap
 
 
@@ -165,7 +164,14 @@ def _judged(
     p_value = min(found.p_value, found.p_objects)  # as long as they are merged like all else
     accepted = p_value >= config.significance and not moved
     radius = scene_radius(merge.points)
-    errors = ErrorModel(model.phi, model.tau / radius, model.omega / radius, model.tails.freedom)
+    errors = ErrorModel(
+        model.phi,
+        model.tau / radius,
+        model.omega / radius,
+        model.tails.freedom,
+        found.price,
+        found.dof,
+    )
     return replace(
         textbook,
         p_value=p_value,

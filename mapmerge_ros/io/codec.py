@@ -34,7 +34,8 @@ def deserialise(raw: bytes | memoryview, typename: str) -> Any:
     with refusing('message of type', typename):
         check_size(len(raw))
     try:
-        return typestore().deserialize_cdr(raw, typename)
+        # Of bytes the typestore would make a copy.
+        return typestore().deserialize_cdr(memoryview(raw), typename)
     except (SerdeError, IndexError) as err:
         reason = str(err.__cause__ or err) or type(err).__name__
         raise InvalidMessage(f'bytes are not a {typename}: {reason}') from err

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from rosbags.interfaces import Connection, MessageDefinitionFormat, Nodetype
 from rosbags.interfaces.typing import FieldDesc, Typesdict
 from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
@@ -15,10 +17,8 @@ _IDL_SEPARATOR = '=' * 80 + '\n'
 
 def foreign_definition(connection: Connection) -> str:
     """Why messages of this connection cannot be read, in one line; empty if they can."""
-    try:
-        reason = _difference(connection)
-    except TypesysError as err:
-        reason = f'it cannot be parsed ({" ".join(str(err).split())[:80]})'
+    definition = connection.msgdef
+    reason = _reason(connection.msgtype, definition.format, definition.data, connection.digest)
     if not reason:
         return ''
     return (
@@ -27,12 +27,20 @@ def foreign_definition(connection: Connection) -> str:
     )
 
 
-def _difference(connection: Connection) -> str:
-    name = connection.msgtype
-    if connection.msgdef.format == MessageDefinitionFormat.NONE:
-        same = connection.digest in ('', type_hash(name))
-        return '' if same else f'its hash is {connection.digest[:20]}…'
-    theirs, ours = _embedded_types(connection), typestore().fielddefs
+@lru_cache(maxsize=64)
+def _reason(name: str, kind: MessageDefinitionFormat, text: str, digest: str) -> str:
+    """Parsing takes 20 ms, and all robots send the same text."""
+    try:
+        return _difference(name, kind, text, digest)
+    except TypesysError as err:
+        return f'it cannot be parsed ({" ".join(str(err).split())[:80]})'
+
+
+def _difference(name: str, kind: MessageDefinitionFormat, text: str, digest: str) -> str:
+    if kind == MessageDefinitionFormat.NONE:
+        same = digest in ('', type_hash(name))
+        return '' if same else f'its hash is {digest[:20]}…'
+    theirs, ours = _embedded_types(name, kind, text), typestore().fielddefs
     for inner in _reachable(name):
         if inner not in theirs:
             return f'it lacks {inner}'
@@ -52,10 +60,9 @@ def _field_difference(theirs: dict[str, FieldDesc], ours: dict[str, FieldDesc]) 
     return ', '.join(f'{word}: {" ".join(names)}' for word, names in parts if names)
 
 
-def _embedded_types(connection: Connection) -> Typesdict:
-    text = connection.msgdef.data
-    if connection.msgdef.format == MessageDefinitionFormat.MSG:
-        return get_types_from_msg(text, connection.msgtype)
+def _embedded_types(name: str, kind: MessageDefinitionFormat, text: str) -> Typesdict:
+    if kind == MessageDefinitionFormat.MSG:
+        return get_types_from_msg(text, name)
     types: Typesdict = {}
     for section in text.split(_IDL_SEPARATOR):
         body = section.split('\n', 1)[1] if section.startswith('IDL: ') else section

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
 from mapmerge_ros.fusion import Fusion, Kind, MapAlignment, State
-from mapmerge_ros.nodes.ledger import Ledger
+from mapmerge_ros.nodes.ledger import Held, Ledger
 
 REFUSAL_WARNS_NS = 10_000_000_000
 """How long a refused message keeps the node at WARN: long enough to be seen in a monitor."""
@@ -129,6 +129,7 @@ class Health:
             'landmarks': sum(held.landmarks for held in maps.values()),
             'bytes': record.size_bytes,
             'bytes_per_s': f'{record.bytes_per_s(self.now_ns):.0f}',
+            'compression_ratio': _compression_ratio(maps.values()),
             'state': 'quarantined' if in_quarantine else state,
             'reason': reason,
         }
@@ -150,6 +151,12 @@ class Health:
 
     def _seconds_since(self, time_ns: int | None) -> str:
         return 'never' if time_ns is None else f'{max(self.now_ns - time_ns, 0) * 1e-9:.1f}'
+
+
+def _compression_ratio(maps: Iterable[Held]) -> str:
+    held = tuple(maps)
+    size_bytes = sum(item.size_bytes for item in held)
+    return f'{sum(item.observation_bytes for item in held) / max(size_bytes, 1):.3g}'
 
 
 def _quarantine(fusion: Fusion) -> str:

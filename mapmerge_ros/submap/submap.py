@@ -91,9 +91,10 @@ class SubMap:
             raise InvalidValue('sources: a map_id appears twice')
         if len(self.landmark_ids) == 0:
             raise InvalidValue('landmark_ids: a sub-map without landmarks')
-        unique, counts = np.unique(self.landmark_ids, return_counts=True)
-        if (counts > 1).any():
-            raise InvalidValue(f'landmark_ids: id {unique[counts > 1][0]} appears twice')
+        ordered = np.sort(self.landmark_ids)
+        repeated = ordered[1:] == ordered[:-1]
+        if repeated.any():
+            raise InvalidValue(f'landmark_ids: id {ordered[1:][repeated][0]} appears twice')
         if len(self.descriptors) != len(self.landmark_ids):
             raise InvalidValue(
                 f'descriptors: {len(self.descriptors)} rows for {len(self.landmark_ids)} landmarks'
@@ -119,9 +120,9 @@ class SubMap:
             raise InvalidValue(f'a: {self.a} is not between 0 and {LARGEST:g}')
         if self.sigma != 0.0 and not 1.0 / LARGEST <= self.sigma <= LARGEST:
             raise InvalidValue(f'sigma: {self.sigma} is neither 0 nor {1 / LARGEST:g} or more')
-        if np.abs(self.points).max() > LARGEST:
+        if _largest(self.points) > LARGEST:
             raise InvalidValue(f'points: a coordinate above {LARGEST:g}')
-        if count and not 0.0 < np.abs(self.packed_r).max() <= LARGEST:
+        if count and not 0.0 < _largest(self.packed_r) <= LARGEST:
             raise InvalidValue(f'r: all zero, or above {LARGEST:g}: nothing is known, or too much')
         if count and self.residual_count <= 0:
             raise InvalidValue('residual_count: zero, but landmarks are compressed')
@@ -175,6 +176,11 @@ class SubMap:
             packed_r=pack(r).astype(self.packed_r.dtype),
             c=c,
         )
+
+
+def _largest(values: Floats) -> float:
+    """Largest absolute value; as |values| would be a copy, of its two ends."""
+    return max(float(values.max()), -float(values.min()))
 
 
 def symmetric_from_upper(upper: Floats) -> Floats:
