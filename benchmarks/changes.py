@@ -30,7 +30,7 @@ from mapmerge_ros.bundle.linearise import linearise
 from mapmerge_ros.bundle.quality import TrackQuality
 from mapmerge_ros.bundle.selection import matched
 from mapmerge_ros.errors import MapMergeError
-from mapmerge_ros.fusion import Component, Fusion, fuse
+from mapmerge_ros.fusion import Component, Fusion, Kind, fuse
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.local import local_tests
 from mapmerge_ros.fusion.quadratic import Members, Quadratic, quadratic
@@ -171,14 +171,11 @@ def scored(submaps: Sequence[SubMap], ids: np.ndarray) -> Score:
     begin = time.process_time()
     fusion = fuse(submaps)
     seconds = time.process_time() - begin
-    component = fusion.components[0]
-    found, association = component.examination, component.association
-    id_of = np.zeros(association.count, np.uint64)
-    merged = [submap for submap in submaps if submap.map_id in component.map_ids]
-    for submap, rows in zip(merged, association.tracks, strict=True):
-        id_of[rows] = submap.compressed_ids
-    id_of = id_of[association.views > 1]
-    groups = [id_of[found.tests.members.tracks[each.members]] for each in found.objects]
+    moved = [change for change in fusion.changes if change.kind is Kind.MOVED]
+    groups = [
+        np.array([each.landmark_id for each in moved if each.object_id == number], np.uint64)
+        for number in sorted({change.object_id for change in moved})
+    ]
     named = np.unique(np.concatenate([ids[:0], *groups]))
     best = max((np.isin(group, ids).sum() for group in groups), default=0)
     right = int(np.isin(named, ids).sum())

@@ -109,6 +109,22 @@ def test_a_revision_that_fits_comes_back(submaps):
     assert len(fusion.components[0].map_ids) == 6
 
 
+def test_the_global_frame_stays_when_its_anchor_is_in_quarantine(submaps):
+    engine = FusionEngine()
+    for submap in submaps:
+        engine.add(submap)
+    before = engine.fuse()
+    k = [submap.map_id for submap in submaps].index(before.components[0].anchor)
+    engine.add(replace(bent(submaps[k], 0.1), revision=submaps[k].revision + 1))
+    after = engine.fuse()
+    assert [item.submap.map_id for item in after.quarantined] == [submaps[k].map_id]
+    frames = {item.submap.map_id: item.S_global_map for item in before.alignments}
+    for item in after.in_state(State.MERGED):
+        was = frames[item.submap.map_id]
+        assert item.S_global_map.scale == pytest.approx(was.scale, rel=0.02)
+        np.testing.assert_allclose(item.S_global_map.rotation, was.rotation, atol=0.02)
+
+
 def test_a_metric_map_of_another_scale_is_named():
     sensing = Sensing(gauge=Gauge.RIGID, prior=FramePrior(scale_std_ratio=0.003))
     submaps = list(simulate_fleet(FleetConfig(sensing=sensing), 70).submaps(catalogue=False))

@@ -16,6 +16,7 @@ import pytest
 
 from mapmerge_ros.fusion import ErrorModel, Fusion, State, fuse
 from mapmerge_ros.fusion.outcome import Contradiction
+from mapmerge_ros.fusion.refusal import Quarantine
 from mapmerge_ros.io.change_words import chance, nothing_moved, split_ids
 from mapmerge_ros.io.drawing import density, price_and_expected
 from mapmerge_ros.io.report import report_html
@@ -139,6 +140,17 @@ def test_names_from_outside_are_escaped() -> None:
     assert len(page.scripts) == 2
     assert scene_of(page)['maps'][0]['name'] == evil
     assert evil in page.text
+
+
+def test_quarantine_is_told(fusion: Fusion) -> None:
+    found = Quarantine(('r1/0001',), 8.0, 1e-9, 0.4, 0.02)
+    first = replace(
+        fusion.alignments[2], state=State.REFUSED, reason='wrong as a whole', quarantine=found
+    )
+    told = replace(fusion, alignments=(*fusion.alignments[:2], first, fusion.alignments[3]))
+    text = page_of(told).text
+    assert 'r2/0001 is in quarantine: wrong as a whole' in text
+    assert 'quarantined' in text
 
 
 def test_unknown_states_are_told_as_they_are(fusion: Fusion) -> None:

@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mapmerge_ros.fusion import Change, Fusion, Kind, fuse
-from mapmerge_ros.geometry import Gauge
+from mapmerge_ros.geometry import Gauge, skew
 from mapmerge_ros.io.change_words import motion
 from mapmerge_ros.io.drawing import top_view
 from mapmerge_ros.io.map_points import map_points
@@ -137,30 +137,33 @@ def test_drawing_survives_one_point_and_lines(fusion: Fusion) -> None:
 SHIFT = np.array([0.3, 0.4, 0.0])
 
 
-def changes_of(turn: float, count: int = 8, noise: float = 1e-3) -> tuple[Change, ...]:
+def changes_of(turn: float, count: int = 8, turn_std: float = 0.02) -> tuple[Change, ...]:
+    """An object as the engine tells it: displacements of one motion, covariances from its own."""
     rng = np.random.default_rng(3)
     before = rng.normal(size=(count, 3))
     before -= before.mean(axis=0)
-    after = Rotation.from_rotvec([0.0, 0.0, turn]).apply(before) + SHIFT
-    after += noise * rng.normal(size=after.shape)
+    arms = Rotation.from_rotvec([0.0, 0.0, turn]).apply(before)
+    basis = np.concatenate([-skew(arms), np.broadcast_to(np.eye(3), (count, 3, 3))], axis=2)
+    covariance = np.diag(np.repeat([turn_std**2, 1e-4], 3))
+    covariances = basis @ covariance @ basis.swapaxes(1, 2)
+    shifts = arms - before + SHIFT
+    after = before + shifts
     return tuple(
-        Change(
-            'm', 1, k, k, after[k], after[k] - before[k], 1e-4 * np.eye(3), 1e-12, 1, Kind.MOVED
-        )
+        Change('m', 1, k, k, after[k], shifts[k], covariances[k], 1e-12, 1, Kind.MOVED)
         for k in range(count)
     )
 
 
 def test_motion_of_an_object_in_words() -> None:
     (turned,) = moved_objects(changes_of(0.3))
-    assert turned.turn_rad == pytest.approx(0.3, abs=0.01)
-    assert turned.distance == pytest.approx(0.5, abs=0.01)
+    assert turned.turn_rad == pytest.approx(0.3)
+    assert turned.distance == pytest.approx(0.5)
     assert turned.distance_std == pytest.approx(0.01)
     (straight,) = moved_objects(changes_of(0.0))
     assert straight.turn_rad == 0.0
     text = motion(turned, Gauge.YAW_TRANSLATION, 10.0)
     assert re.fullmatch(
-        r'moved by 0\.\d+ ± 0.02 m \(5.0% of the radius of the scene\), level, '
+        r'moved by 0\.5 ± 0\.02 m \(5\.0% of the radius of the scene\), level, '
         r'and turned by about 17°',
         text,
     )
@@ -168,10 +171,10 @@ def test_motion_of_an_object_in_words() -> None:
     assert 'turned' not in motion(straight, Gauge.SIMILARITY, 10.0)
 
 
-def test_turns_that_scatter_explains_are_not_told() -> None:
-    told = [
-        moved_objects(changes_of(0.0, count, noise))[0].turn_rad
-        for count in (4, 5, 8, 20)
-        for noise in (1e-4, 1e-2, 0.1)
-    ]
-    assert np.count_nonzero(told) == 0
+@pytest.mark.parametrize('count', [5, 6, 20])
+def test_only_certain_turns_are_told(count: int) -> None:
+    """0.1 rad is told where it is five standard deviations, not where it is two or unknown."""
+    assert moved_objects(changes_of(0.1, count, 0.02))[0].turn_rad == pytest.approx(0.1)
+    for turn_std in (0.05, 0.0):
+        assert moved_objects(changes_of(0.1, count, turn_std))[0].turn_rad == 0.0
+    assert moved_objects(changes_of(0.1, 4, 0.02))[0].turn_rad == 0.0

@@ -51,15 +51,20 @@ def matched(
 
 
 def best_tracks(bundle: Bundle, count: int, quality: TrackQuality | None = None) -> Ids:
+    """Ids of the first of `ranked_tracks`, by id."""
+    return np.sort(ranked_tracks(bundle, quality)[:count])
+
+
+def ranked_tracks(bundle: Bundle, quality: TrackQuality | None = None) -> Ids:
     """
-    Ids of the longest tracks; of equally long ones the better determined, then by id.
+    Ids of all points, longest tracks first; equally long ones the better determined first.
 
     With `quality`, good tracks come before all others.
     """
     rows = np.arange(len(bundle.point_ids))
     bad = ~good_tracks(bundle, rows, quality) if quality else np.zeros(len(rows), np.bool_)
     order = np.lexsort((bundle.point_ids, _variances(bundle), -_track_lengths(bundle), bad))
-    return np.sort(bundle.point_ids[order[:count]])
+    return bundle.point_ids[order]
 
 
 def _drop_bad(

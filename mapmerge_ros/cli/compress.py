@@ -11,13 +11,11 @@ from pathlib import Path
 from mapmerge_ros.arrays import Ids
 from mapmerge_ros.bundle import Bundle, MapName, compress, with_lens_prior
 from mapmerge_ros.bundle.lens_prior import MIN_KEYFRAMES
-from mapmerge_ros.bundle.quality import TrackQuality
-from mapmerge_ros.bundle.selection import best_tracks
 from mapmerge_ros.cli import console, models, options
+from mapmerge_ros.cli.choosing import Budget, choose
 from mapmerge_ros.cli.options import Subparsers
 from mapmerge_ros.cli.outputs import check_file, ros_name
 from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
-from mapmerge_ros.fusion.offline import choose_for_bundles
 from mapmerge_ros.io import MAX_MESSAGE_BYTES, encode_submap, write_submaps
 from mapmerge_ros.io.wording import counted, readable_bytes
 from mapmerge_ros.submap import SubMap
@@ -30,12 +28,6 @@ DEFAULT_LENS_PRIOR_PX = 0.0
 0: the lens is as calibrated. 0.12 px leaves open what a calibration leaves open: it halves ã where
 maps are bent by it (Caliterra), and costs a factor of two in the distance to gold everywhere.
 """
-
-
-_NOTHING_COMMON = (
-    'no two models have a landmark in common: without --id-space NAME they are matched by '
-    'descriptors (descriptors.npz beside each model), see mapmerge info for the reasons'
-)
 
 
 def add_parser(subparsers: Subparsers) -> None:
@@ -59,8 +51,14 @@ def add_parser(subparsers: Subparsers) -> None:
         type=_landmarks,
         metavar='matched|N|all',
         help='which points to compress: those that another model has too, by descriptors or, with '
-        '--id-space, by id (default for several models), the N longest tracks (default for one: '
-        f'{DEFAULT_TRACKS}), or all',
+        '--id-space, by id (default for several models); N: the N of these that say most, then '
+        f'the longest tracks (default for one: {DEFAULT_TRACKS}); or all',
+    )
+    add(
+        '--max-bytes',
+        type=options.positive_int,
+        metavar='B',
+        help='largest message of a model, its catalogue included; fewer points are compressed',
     )
     add(
         '--all-tracks',
@@ -87,9 +85,8 @@ def run(args: argparse.Namespace) -> int:
     names = models.map_names(args)
     check_file(args.out, '.mcap')
     bundles = models.load(args)
-    chosen = choose(
-        bundles, names, wanted, args.max_landmarks, not (args.all_tracks or args.id_space)
-    )
+    budget = Budget(args.max_landmarks, args.max_bytes or 0, not args.no_catalogue)
+    chosen = choose(bundles, names, wanted, budget, not (args.all_tracks or args.id_space))
     bundles = [
         with_uncertain_lens(bundle, name, args.lens_prior)
         for bundle, name in zip(bundles, names, strict=True)
@@ -105,25 +102,6 @@ def run(args: argparse.Namespace) -> int:
     )
     _show(bundles, submaps, args.out)
     return 0
-
-
-def choose(
-    bundles: Sequence[Bundle],
-    names: Sequence[MapName],
-    wanted: str | int,
-    cap: int,
-    good_only: bool = True,
-) -> tuple[Ids, ...]:
-    """Ids of the points to compress, per bundle."""
-    quality = TrackQuality() if good_only else None
-    if wanted == 'matched':
-        chosen = choose_for_bundles(bundles, names, cap, quality)
-        if len(bundles) > 1 and not any(len(ids) for ids in chosen):
-            console.warn(_NOTHING_COMMON)
-        return chosen
-    if wanted == 'all':
-        return tuple(bundle.point_ids for bundle in bundles)
-    return tuple(best_tracks(bundle, int(wanted), quality) for bundle in bundles)
 
 
 def with_uncertain_lens(bundle: Bundle, name: MapName, prior_px: float) -> Bundle:

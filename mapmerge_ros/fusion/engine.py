@@ -22,19 +22,14 @@ from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.copies import without_copies
 from mapmerge_ros.fusion.groups import Problem, merge_groups
 from mapmerge_ros.fusion.links import find_links
-from mapmerge_ros.fusion.outcome import (
-    Contradiction,
-    Fusion,
-    Match,
-    Pair,
-    Timing,
-)
+from mapmerge_ros.fusion.outcome import Contradiction, Fusion, Match, Pair, Timing
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.requests import Denial, plan_requests
 from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.fusion.states import aligned, left_out
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.warm import Warm
+from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import Request, SubMap
 
 
@@ -47,6 +42,8 @@ class Snapshot:
     revision: int = 1
     denied: Mapping[str, Denial] = field(default_factory=dict)
     """By map_id, how far its robot could not do what it was asked for"""
+    frames: Mapping[str, Similarity] = field(default_factory=dict)
+    """By map_id, S_global_map in the last fusion: who holds the frame if the anchor goes"""
 
 
 def fuse(
@@ -86,6 +83,7 @@ def fuse(
             association,
             links,
             snapshot.anchor,
+            snapshot.frames,
             config,
             snapshot.revision,
             stopwatch,
@@ -123,6 +121,7 @@ class FusionEngine:
         self.asking = Asking(self.config)
         self.memory = Warm()
         self._anchor: Anchor | None = None
+        self._frames: Mapping[str, Similarity] = {}
         self._revision = revision
         self.changed = False
         """Whether anything has come or gone since the last snapshot"""
@@ -148,7 +147,7 @@ class FusionEngine:
     def reset(self) -> None:
         """Forget everything but the revision, which must go on rising."""
         self.remove([submap.map_id for submap in self._store.snapshot()])
-        self._anchor = None
+        self._anchor, self._frames = None, {}
 
     def reconfigure(self, config: FusionConfig) -> None:
         """
@@ -168,7 +167,8 @@ class FusionEngine:
 
     def state(self) -> Snapshot:
         """Everything that an engine needs to go on from here; changes nothing."""
-        return Snapshot(self._store.snapshot(), self._anchor, self._revision, self.asking.denied)
+        held = self._store.snapshot()
+        return Snapshot(held, self._anchor, self._revision, self.asking.denied, self._frames)
 
     def restore(self, state: Snapshot) -> tuple[Receipt, ...]:
         """
@@ -200,6 +200,8 @@ class FusionEngine:
         for item in fusion.alignments:
             if fusion.components and item.submap.map_id == fusion.components[0].anchor:
                 self._anchor = Anchor(item.submap.map_id, item.S_global_map)
+        merged = [item for item in fusion.alignments if item.component == 0]
+        self._frames = {item.submap.map_id: item.S_global_map for item in merged}
 
     def fuse(self) -> Fusion:
         """Fuse what is there, in this thread."""

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from mapmerge_ros.fusion.search import is_certain
 from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.warm import Warm
+from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import SubMap
 
 FAILURES = (MapMergeError, np.linalg.LinAlgError, ArithmeticError)
@@ -39,6 +40,8 @@ class Problem:
     association: Association
     links: tuple[Link, ...]
     anchor: Anchor | None
+    frames: Mapping[str, Similarity]
+    """By map_id, S_global_map where that is known"""
     config: FusionConfig
     revision: int
     stopwatch: Stopwatch
@@ -129,7 +132,7 @@ def _merge(group: Group, problem: Problem) -> Merged:
         members,
         problem.association.restricted(group),
         _within(group, problem.links),
-        _still(problem.anchor, members),
+        _still(problem, members),
         problem.config,
         problem.revision,
         problem.stopwatch,
@@ -154,13 +157,21 @@ def _within(group: Sequence[int], links: Sequence[Link]) -> tuple[Link, ...]:
     )
 
 
-def _still(anchor: Anchor | None, members: Sequence[SubMap]) -> Anchor | None:
-    """Return the previous anchor if this group has it and nothing knows the frame better."""
-    smallest = min(submap.gauge for submap in members)
-    for submap in members:
-        if anchor and submap.map_id == anchor.map_id and submap.gauge == smallest:
-            return anchor
-    return None
+def _still(problem: Problem, members: Sequence[SubMap]) -> Anchor | None:
+    """
+    Return the previous anchor if this group has it and nothing knows the frame better.
+
+    Where the anchor has gone, or into quarantine, the oldest that was there with it holds still.
+    """
+    smallest, anchor = min(submap.gauge for submap in members), problem.anchor
+    frames = dict(problem.frames) | ({anchor.map_id: anchor.S_global_map} if anchor else {})
+    known = [x for x in members if x.gauge == smallest and x.map_id in frames]
+    if not known:
+        return None
+    if anchor and anchor.map_id in {submap.map_id for submap in known}:
+        return anchor
+    oldest = min(known, key=lambda submap: (submap.stamp_ns, submap.map_id))
+    return Anchor(oldest.map_id, frames[oldest.map_id])
 
 
 def _in_words(err: Exception) -> str:

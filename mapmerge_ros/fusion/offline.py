@@ -14,6 +14,7 @@ from mapmerge_ros.bundle import Bundle, MapName, announce
 from mapmerge_ros.bundle.quality import TrackQuality, good_tracks
 from mapmerge_ros.fusion.catalogues import ALONE, Tracks
 from mapmerge_ros.fusion.choice import choose_landmarks
+from mapmerge_ros.submap import most_landmarks
 
 
 def choose_for_bundles(
@@ -21,9 +22,14 @@ def choose_for_bundles(
     names: Sequence[MapName],
     cap: int,
     quality: TrackQuality | None = None,
+    max_bytes: int = 0,
+    *,
+    catalogue: bool = True,
 ) -> tuple[Ids, ...]:
     """
     Points of each bundle that the fusion side would ask for, at most `cap`, most wanted first.
+
+    With `max_bytes`, no more than keep the message, with its catalogue or without, to that size.
 
     Common points are found by id within an id space, by descriptors elsewhere. With `quality`,
     only those that a robot sees well, and the best of every area, see `good_tracks`.
@@ -35,7 +41,10 @@ def choose_for_bundles(
         own if quality is None else _good_only(bundle, own, views[own] > 1, quality)
         for bundle, own in zip(bundles, found.tracks, strict=True)
     ]
-    caps = [cap] * len(announced)
+    caps = [
+        min(cap, most_landmarks(each, max_bytes, catalogue=catalogue)) if max_bytes else cap
+        for each in announced
+    ]
     return choose_landmarks(announced, Tracks(tuple(tracks), found.count), caps)
 
 

@@ -25,7 +25,7 @@ from mapmerge_ros.io.map_points import map_points
 from mapmerge_ros.io.match_rows import log_nfa, tally, why_not, worth_showing
 from mapmerge_ros.io.moved_objects import moved_objects
 from mapmerge_ros.io.palette import Rgb, hexadecimal, map_colours
-from mapmerge_ros.io.report_values import p_value, short, value
+from mapmerge_ros.io.report_values import short, value
 from mapmerge_ros.io.scene import Scene, make_scene
 from mapmerge_ros.io.scene_data import MAX_MATCHES, scene_data, square_size
 from mapmerge_ros.io.wording import against_truth, belief, counted, headline, left_out, what_moved
@@ -39,7 +39,7 @@ MAX_CHANGES = 200
 SCRIPTS = ('viewer.js', 'scenes.js', 'changes.js', 'hands.js', 'start.js')
 """In the order in which a page needs them."""
 
-_BECAME = {'REFUSED': 'was refused', 'DETACHED': 'stays apart', 'QUARANTINED': 'is quarantined'}
+_BECAME = {'REFUSED': 'was refused', 'DETACHED': 'stays apart'}
 
 
 def report_html(
@@ -117,15 +117,8 @@ def _changes(fusion: Fusion, scene: Scene) -> dict[str, Any]:
     return {
         'unmoved': nothing_moved(fusion),
         'split': split_ids(fusion),
-        'objects': [
-            {
-                'number': each.number,
-                'count': each.count,
-                'map_id': each.map_id,
-                'motion': motion(each, gauge, scene.viewpoint.radius),
-                'chance': chance(each.p_value),
-                'p_value': each.p_value,
-            }
+        'motions': [
+            (motion(each, gauge, scene.viewpoint.radius), chance(each.p_value))
             for each in moved_objects(fusion.changes)
         ],
         'doubtful': counted(doubtful, 'single landmark') if doubtful else '',
@@ -191,7 +184,5 @@ def _template() -> jinja2.Template:
     # A zero-width space: a column of numbers need not be as wide as its map_id.
     environment.filters['breakable'] = lambda name: name.replace('/', '/\u200b')
     environment.filters['became'] = lambda state: _BECAME.get(state, f'is {state.lower()}')
-    environment.filters.update(
-        log_nfa=log_nfa, why_not=why_not, short=short, p_value=p_value, length_of=_length
-    )
+    environment.filters.update(log_nfa=log_nfa, why_not=why_not, short=short, length_of=_length)
     return environment.get_template('report.html')

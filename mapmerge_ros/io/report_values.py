@@ -21,9 +21,9 @@ def short(value: float | None) -> str:
     return '–' if value is None else f'{value:.4g}'
 
 
-def p_value(value: float) -> str:
-    """Return e.g. '= 0.085' or '< 1e-300', in one piece."""
-    return f'=\u00a0{value:.2g}' if value >= LEAST_P else f'<\u00a0{LEAST_P:g}'
+def _p_value(value: float) -> str:
+    """'0.085', '<1e-300'."""
+    return f'{value:.2g}' if value >= LEAST_P else f'<{LEAST_P:g}'
 
 
 def _seconds(value: float) -> str:
@@ -33,7 +33,7 @@ def _seconds(value: float) -> str:
 _FORMATS: Mapping[str, Callable[[Any], str]] = {
     'short': lambda value: str(value) if isinstance(value, int) else short(value),
     'plain': str,
-    'p': lambda value: p_value(value).removeprefix('=\u00a0'),
+    'p': _p_value,
     'bytes': readable_bytes,
     'seconds': _seconds,
     'percent': lambda value: f'{value:.2%}',

@@ -14,6 +14,7 @@ from mapmerge_ros.fusion import Change, ErrorModel, Fusion, MapAlignment, Verdic
 from mapmerge_ros.fusion.outcome import Match
 from mapmerge_ros.fusion.refusal import Quarantine
 from mapmerge_ros.io.codec import encode_submap
+from mapmerge_ros.io.moved_objects import MovedTogether, moved_objects
 from mapmerge_ros.submap import SubMap
 
 
@@ -50,6 +51,7 @@ def summarise(fusion: Fusion, traffic: Traffic | None = None) -> dict[str, Any]:
         'sub_maps': sub_maps,
         'test': _test(fusion.verdict),
         'changes': [_change(change) for change in fusion.changes],
+        'objects': [_object(each) for each in moved_objects(fusion.changes)],
         'components': [list(component.map_ids) for component in fusion.components],
         'pairs': [{'a': x.a, 'b': x.b, 'shared': x.shared} for x in fusion.pairs],
         'matches': [_match(match) for match in fusion.matches],
@@ -178,6 +180,19 @@ def _change(change: Change) -> dict[str, Any]:
         'std': change.std.tolist(),
         'covariance': change.covariance.tolist(),
         'p_value': change.p_value,
+    }
+
+
+def _object(moved: MovedTogether) -> dict[str, Any]:
+    return {
+        'object': moved.number,
+        'map_id': moved.map_id,
+        'landmarks': moved.count,
+        'displacement': moved.displacement_global.tolist(),
+        'distance': moved.distance,
+        'distance_std': moved.distance_std,
+        'turn_rad': moved.turn_rad,
+        'p_value': moved.p_value,
     }
 
 

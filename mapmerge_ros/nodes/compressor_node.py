@@ -131,7 +131,7 @@ class CompressorNode(Node):  # type: ignore[misc]
                 f'ignored a request for {request.map_id} of robot {request.robot_id!r}'
             )
             return
-        self._respond(own, request)
+        self._respond(own, self._settings.limited(request))
 
     def _respond(self, own: OwnMap, request: Request) -> None:
         response, map_id = own.respond(request), request.map_id

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.nodes.settings import Setting, declare
+from mapmerge_ros.submap import Request
 
 SETTINGS = (
     Setting(
@@ -38,6 +39,21 @@ SETTINGS = (
         1e9,
     ),
     Setting(
+        'max_landmarks',
+        0,
+        'Landmarks that an answer has at most, the most wanted ones; 0: as many as are asked for.',
+        0,
+        2700,
+    ),
+    Setting(
+        'max_bytes',
+        0,
+        'Largest sub-map that is sent as an answer, its catalogue included; fewer landmarks are '
+        'compressed to keep it. 0: what the request says.',
+        0,
+        128 * 2**20,
+    ),
+    Setting(
         'relinearise_rounds',
         0,
         'Times that the map is linearised again where the fusion put its landmarks, and sent, '
@@ -57,7 +73,15 @@ class CompressorSettings:
     id_space: str
     gauge: Gauge
     max_bytes_per_s: float
+    max_landmarks: int
+    max_bytes: int
     relinearise_rounds: int
+
+    def limited(self, request: Request) -> Request:
+        """Return what of a request is within the limits; 0 is none."""
+        limits = [size for size in (request.max_bytes, self.max_bytes) if size]
+        ids = request.landmark_ids[: self.max_landmarks or None]
+        return replace(request, landmark_ids=ids, max_bytes=min(limits, default=0))
 
 
 def declare_settings(node: Any) -> CompressorSettings:
