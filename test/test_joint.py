@@ -290,3 +290,20 @@ def test_a_plan_holds_the_kept_landmarks_at_the_root(fleets):
     kept = (3 * np.flatnonzero(keep)[:, None] + np.arange(3)).ravel()
     np.testing.assert_array_equal(np.sort(root.rows), kept)
     assert root.eliminated == len(kept)
+
+
+@pytest.mark.parametrize('count', [1, 3])
+def test_what_fits_exactly_is_known_to_fit(fleets, count):
+    """Maps that agree but for rounding: nothing is left to gain, however long one looks."""
+    one = fleets[Gauge.SIMILARITY][0]
+    submaps = [replace(one, map_id=str(k), c=np.zeros_like(one.c)) for k in range(count)]
+    association = associate_by_id(submaps)
+    is_shared = np.ones(association.count, bool)
+    cost = JointCost.of(
+        submaps, association.tracks, is_shared, np.ones(count), informations(submaps)
+    )
+    rng = np.random.default_rng(5)
+    start = random_similarity(rng).apply(one.compressed_points)
+    found = minimise(cost, start, Gauge.SIMILARITY, CONFIG)
+    assert found.converged
+    assert found.iterations < 8

@@ -167,6 +167,13 @@ class JointCost:
         return self._frames(self._moments(points[self.tracks]))
 
     @property
+    def rounding(self) -> float:
+        """Cost that is left by rounding where everything fits exactly."""
+        reaches = np.maximum.reduceat(np.abs(self.points_map), self.segments.ends[:-1]).max(axis=1)
+        sizes = np.array([root.size for root in self.roots])
+        return float(sizes @ (np.finfo(float).eps * reaches) ** 2)
+
+    @property
     def is_plain(self) -> bool:
         """Whether no sub-map knows its scale: then there are no stretches."""
         return bool((self.gauges == Gauge.SIMILARITY).all())

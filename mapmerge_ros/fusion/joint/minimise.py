@@ -113,14 +113,14 @@ def minimise(
         The landmarks are not determined by the sub-maps together.
 
     """
-    state = cost.evaluate(points)
+    state, rounding = cost.evaluate(points), cost.rounding
     matrix = _Matrix(solver=carried)
     history, promises, own = [state.cost], list[float](), carried is None
     for iteration in range(1, config.max_iterations + 1):
         matrix.fresh = matrix.solver is None
         state, promised = _step(cost, state, matrix, gauge)
         history.append(state.cost)
-        enough = config.relative_decrease * max(state.cost, np.finfo(float).tiny)
+        enough = max(config.relative_decrease * state.cost, rounding)
         promises.append(promised)
         if promised <= enough:
             kept = matrix.kept(carried)

@@ -25,6 +25,11 @@ class Root:
     columns: int
     """3s"""
 
+    @property
+    def size(self) -> float:
+        """Sum of the squares of R, weighted."""
+        return self.weight * float(np.vdot(self.packed, self.packed))
+
     def dense(self) -> Floats:
         """R (k, 3s) in float64, not weighted."""
         return unpack(self.packed, self.columns, len(self.c))
