@@ -44,7 +44,7 @@ ONCE = {('bundle', 'S3'), ('bundle', 'S4'), ('known', 'S5')}
 
 
 def _resident_mb(entry: str) -> float:
-    """VmRSS or VmHWM (peak) of this process."""
+    """Memory of this process: VmRSS, or VmHWM (peak)."""
     for line in Path('/proc/self/status').read_text().splitlines():
         if line.startswith(entry):
             return int(line.split()[1]) / 1024.0

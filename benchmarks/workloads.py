@@ -49,6 +49,9 @@ GAUSS_NEWTON_STEPS = 3
 SHARED_IN_SESSION = 100
 """Landmarks of the session whose compression is measured."""
 
+MATCHED_VIEWS = 5
+"""Key frames that see a landmark which is likely to be matched."""
+
 PRIVATE = np.uint64(2**40)
 """Ids from here on are a drone's own."""
 
@@ -107,11 +110,12 @@ def cached(name: str, folder: Path, seed: int = 0, *, bundles: bool = False) -> 
 
 def session() -> tuple[Bundle, Ids]:
     """One drone's map of 60 key frames and about 1000 points, and 100 of its landmarks."""
-    load = workload('S2', drones=4)
-    bundle = load.bundles[0]
+    bundles = workload('S2', drones=9).bundles
+    bundle = max(bundles, key=lambda one: len(one.point_ids))
     views = np.bincount(bundle.observation_points, minlength=len(bundle.point_ids))
-    longest = np.argsort(-views, kind='stable')[:SHARED_IN_SESSION]
-    return bundle, np.sort(bundle.point_ids[longest])
+    eligible = bundle.point_ids[views >= MATCHED_VIEWS]
+    chosen = np.random.default_rng(0).choice(eligible, SHARED_IN_SESSION, replace=False)
+    return bundle, np.sort(chosen)
 
 
 def _message(bundle: Bundle, drone: int, revision: int) -> SubMap:

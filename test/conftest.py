@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def pytest_configure() -> None:
-    """Compute in one BLAS thread: two on small matrices cost ten times as much where it is busy."""
+    """Compute in one BLAS thread: two cost ten times as much on a busy machine."""
     import scipy.linalg  # noqa: F401 - its BLAS is not that of numpy
     from threadpoolctl import threadpool_limits
 

@@ -85,7 +85,7 @@ def solve(
     estimate = replace(estimate, matrix=None)
     points = cost.recover_private(estimate.points, association.count)
     held = [submap.map_id for submap in submaps].index(anchor.map_id)
-    S_global_estimate = anchor.S_global_map @ cost.evaluate(points).S_map_globals[held]
+    S_global_estimate = anchor.S_global_map @ cost.frames(points)[held]
     return Solution(
         cost,
         reduced,

@@ -144,40 +144,27 @@ class JointCost:
             The landmarks do not determine the frame of some map.
 
         """
-        gauges, segments, owners = self.gauges, self.segments, self.segments.owners
-        source = points[self.tracks]
-        weighted = self.shares[:, None] * self.growth
-        products = (weighted[:, :, None] * source[:, None, :]).reshape(-1, 9)
-        correlations = segments.sums(products).reshape(-1, 3, 3)
-        means = self.means(source)
-        moments = Moments(
-            correlations,
-            self.centres_map,
-            means,
-            self.sizes,
-            self._extents(source, means),
-            segments.counts(self.weights > 0.0),
-        )
-        found = align_moments(moments, gauges, 'tangent')
-        if not found.determined.all():
-            k = int(np.argmin(found.determined))
-            raise DegenerateGeometry(
-                f'the shared landmarks of sub-map {k} of the merge do not determine its frame'
-            )
-        frames = found.S_target_source
-        moved = frames.apply(segments, source)
-        turned = correlations @ frames.linear().transpose(0, 2, 1)
-        centres = (frames.linear() @ means[:, :, None])[:, :, 0] + frames.translations
+        owners, source = self.segments.owners, points[self.tracks]
+        placed = self._moments(source)
+        frames = self._frames(placed)
+        moved = frames.apply(self.segments, source)
+        turned = placed.correlations @ frames.linear().transpose(0, 2, 1)
+        centres = (frames.linear() @ placed.source_means[:, :, None])[:, :, 0]
+        centres += frames.translations
         displacement, stretches = moved - self.points_map, np.ones(len(self))
         if not self.is_plain:
             overlaps = np.einsum('nii->n', turned)
-            stretches = np.where(gauges == Gauge.SIMILARITY, 1.0, self.sizes / overlaps)
+            stretches = np.where(self.gauges == Gauge.SIMILARITY, 1.0, self.sizes / overlaps)
             with np.errstate(invalid='ignore'):  # a wild step may turn a map inside out: nan
                 logarithms = np.log(stretches)[owners, None]
             displacement += (stretches[owners, None] - 1.0) * (moved - centres[owners])
             displacement -= logarithms * self.growth
         cost, slopes = self._responses(displacement)
         return State(points, frames, moved, turned, stretches, centres, slopes, cost)
+
+    def frames(self, points: Floats) -> Similarities:
+        """S_map_global of every map on the global landmarks (tracks, 3); see `evaluate`."""
+        return self._frames(self._moments(points[self.tracks]))
 
     @property
     def is_plain(self) -> bool:
@@ -215,6 +202,29 @@ class JointCost:
     def means(self, points: Floats) -> Floats:
         """Weighted mean (maps, 3) of points (rows, 3)."""
         return self.segments.sums(self.shares[:, None] * points)
+
+    def _moments(self, source: Floats) -> Moments:
+        """What the hard gauge needs to know of the global landmarks (rows, 3)."""
+        weighted = self.shares[:, None] * self.growth
+        products = (weighted[:, :, None] * source[:, None, :]).reshape(-1, 9)
+        means = self.means(source)
+        return Moments(
+            self.segments.sums(products).reshape(-1, 3, 3),
+            self.centres_map,
+            means,
+            self.sizes,
+            self._extents(source, means),
+            self.segments.counts(self.weights > 0.0),
+        )
+
+    def _frames(self, moments: Moments) -> Similarities:
+        found = align_moments(moments, self.gauges, 'tangent')
+        if not found.determined.all():
+            k = int(np.argmin(found.determined))
+            raise DegenerateGeometry(
+                f'the shared landmarks of sub-map {k} of the merge do not determine its frame'
+            )
+        return found.S_target_source
 
     def _responses(self, displacement: Floats) -> tuple[float, Floats]:
         slopes, cost = np.empty_like(displacement), 0.0
