@@ -12,9 +12,9 @@ import numpy as np
 
 from mapmerge_ros.arrays import Ints
 from mapmerge_ros.association import Correspondences, Decision, Memory, associate
-from mapmerge_ros.geometry import Gauge, Similarity
-from mapmerge_ros.simulation import yard_scene
-from mapmerge_ros.submap import Descriptors, DescriptorType, Source, SubMap
+from mapmerge_ros.geometry import Similarity
+from mapmerge_ros.simulation import announcement, yard_scene
+from mapmerge_ros.submap import SubMap
 
 COUNTS = (8, 16, 32, 64)
 CELL = np.array([31.0, 23.0])
@@ -112,28 +112,3 @@ def catalogues(count: int, seed: int = 0) -> tuple[list[SubMap], list[Ints]]:
         submaps.append(announcement(f'drone{k:02d}', points, scene.descriptors[rows] ^ flips))
         seen.append(rows)
     return submaps, seen
-
-
-def announcement(name: str, points: np.ndarray, descriptors: np.ndarray) -> SubMap:
-    """A map that says where its landmarks are and what they look like."""
-    return SubMap(
-        map_id=name,
-        robot_id=name,
-        revision=1,
-        stamp_ns=0,
-        frame_id=name,
-        sources=(Source(name, 1),),
-        gauge=Gauge.SIMILARITY,
-        id_space='',
-        landmark_ids=np.arange(1, len(points) + 1, dtype=np.uint64),
-        points=points,
-        covariances=None,
-        compressed_count=0,
-        a=0.0,
-        packed_r=np.zeros(0, np.float32),
-        c=np.zeros(0),
-        residual_count=0,
-        dof=0,
-        sigma=1.0,
-        descriptors=Descriptors(DescriptorType.BINARY, descriptors),
-    )

@@ -30,8 +30,8 @@ from mapmerge_ros.bundle.linearise import linearise
 from mapmerge_ros.bundle.quality import TrackQuality
 from mapmerge_ros.bundle.selection import matched
 from mapmerge_ros.errors import MapMergeError
-from mapmerge_ros.fusion import Component, Fusion, fuse
-from mapmerge_ros.fusion.element import Element
+from mapmerge_ros.fusion import Component, Fusion, Kind, fuse
+from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.local import local_tests
 from mapmerge_ros.fusion.quadratic import Members, Quadratic, quadratic
 from mapmerge_ros.fusion.verify import pool_noise
@@ -88,6 +88,7 @@ class Score:
     false: int
     moved: int
     objects: int
+    quarantined: int
     seconds: float
     """CPU time of the tests, the share of the merge's by the clock"""
 
@@ -116,14 +117,9 @@ def as_merged(submaps: Sequence[SubMap], component: Component) -> Quadratic:
     """Quadratic of a merge by ids, in the global frame."""
     association, noise = component.association, pool_noise(submaps)
     is_shared = association.views > 1
-    slots = np.cumsum(is_shared) - 1
-    elements = [
-        Element.from_submap(submap, tracks, is_shared[tracks], float(weight)).reduced()
-        for submap, tracks, weight in zip(submaps, association.tracks, noise.weights, strict=True)
-    ]
-    elements = [replace(element, tracks=slots[element.tracks]) for element in elements]
+    cost = JointCost.of(submaps, association.tracks, is_shared, noise.weights).reduced()
     points = component.landmarks.points_global[is_shared]
-    return quadratic(elements, points, component.gauge, noise.sigma)
+    return quadratic(cost.elements(), points, component.gauge, noise.sigma)
 
 
 def _compressed(bundle: Bundle, k: int, ids: np.ndarray) -> SubMap:
@@ -175,13 +171,11 @@ def scored(submaps: Sequence[SubMap], ids: np.ndarray) -> Score:
     begin = time.process_time()
     fusion = fuse(submaps)
     seconds = time.process_time() - begin
-    component = fusion.components[0]
-    found, association = component.examination, component.association
-    id_of = np.zeros(association.count, np.uint64)
-    for submap, rows in zip(submaps, association.tracks, strict=True):
-        id_of[rows] = submap.compressed_ids
-    id_of = id_of[association.views > 1]
-    groups = [id_of[found.tests.members.tracks[each.members]] for each in found.objects]
+    moved = [change for change in fusion.changes if change.kind is Kind.MOVED]
+    groups = [
+        np.array([each.landmark_id for each in moved if each.object_id == number], np.uint64)
+        for number in sorted({change.object_id for change in moved})
+    ]
     named = np.unique(np.concatenate([ids[:0], *groups]))
     best = max((np.isin(group, ids).sum() for group in groups), default=0)
     right = int(np.isin(named, ids).sum())
@@ -191,6 +185,7 @@ def scored(submaps: Sequence[SubMap], ids: np.ndarray) -> Score:
         false=len(named) - right,
         moved=len(ids),
         objects=len(groups),
+        quarantined=len(fusion.quarantined),
         seconds=seconds * fusion.timing.test_s / fusion.timing.total_s,
     )
 
@@ -200,7 +195,9 @@ def unchanged_row(name: str, draws: Sequence[Draw]) -> str:
     scores = [scored(each.submaps, np.zeros(0, np.uint64)) for each in draws]
     objects = sum(score.objects for score in scores)
     seconds = np.mean([score.seconds for score in scores])
-    return f'| {name} | nothing | {len(draws)} | {objects} objects | | | {seconds:.2f} |'
+    wrong = sum(score.quarantined for score in scores)
+    found = f'{objects} objects' + (f', {wrong} maps in quarantine' if wrong else '')
+    return f'| {name} | nothing | {len(draws)} | {found} | | | {seconds:.2f} |'
 
 
 def moved_row(
@@ -215,6 +212,8 @@ def moved_row(
     right, false = sum(s.right for s in scores), sum(s.false for s in scores)
     recall = sum(s.right for s in found) / max(1, sum(s.moved for s in found))
     seconds = np.mean([score.seconds for score in scores])
+    wrong = sum(score.quarantined for score in scores)
+    name += f' ({wrong} maps in quarantine)' if wrong else ''
     turned = f', {turn_rad} rad' if turn_rad else ''
     return (
         f'| {name} | {sigmas:g} σ{turned} | {trials} | {len(found) / trials:.0%} | {recall:.3f} | '

@@ -3,242 +3,128 @@
 """
 The merge against the full bundle, from 4 to 1024 drones: time, memory, error to the truth.
 
-    python benchmarks/merge.py [S1 S2 …] [--full] [--cache DIR] [--repeat N] [--page FILE]
+    python benchmarks/merge.py [--sizes S1 S2 …] [--repeats 5] [--markdown FILE] [--figure FILE]
 
-Each measurement runs in a process of its own with one BLAS thread. CPU time is reported beside
-wall time: on a busy machine only the former says something. `--full` bundles S3 too.
+Each measurement runs in a process of its own with one BLAS thread, its repeats one after the
+other; medians of CPU seconds. The first run of all makes the workloads (S5: some minutes).
+`--quick` measures a fleet of four drones, once.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
-import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from workloads import DRONES, Workload, cached
+from merge_kinds import KINDS, Values, compression
+from merge_tables import draw, tables
+from workloads import DRONES, Workload, cached, workload
 
-from mapmerge_ros.association import associate
 from mapmerge_ros.errors import MapMergeError
-from mapmerge_ros.fusion import FusionConfig, fuse
-from mapmerge_ros.fusion.associate import of_compressed
-from mapmerge_ros.fusion.joint.cost import JointCost
-from mapmerge_ros.fusion.joint.knowledge import knowledge
-from mapmerge_ros.fusion.links import find_links
-from mapmerge_ros.fusion.search import search
-from mapmerge_ros.fusion.verify import pool_noise, verify
-from mapmerge_ros.geometry import Gauge, align
+from mapmerge_ros.fusion import fuse
 
 THREADS = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
 
-MARK = '<!-- table of benchmarks/merge.py -->\n'
+MARK = '<!-- tables of benchmarks/merge.py -->\n'
 
-KINDS = ('nothing', 'merge', 'fuse', 'bundle')
+NOT_OF: dict[str, tuple[str, ...]] = {
+    'S3': ('dense',),
+    'S4': ('dense',),
+    'S5': ('dense', 'bundle', 'whole'),
+}
+"""What takes too long or too much memory."""
 
-
-class Clock:
-    """CPU and wall seconds since it was started."""
-
-    def __init__(self) -> None:
-        self._cpu, self._wall = time.process_time(), time.perf_counter()
-
-    def __call__(self) -> dict[str, float]:
-        """Seconds since then."""
-        return {
-            'cpu_s': time.process_time() - self._cpu,
-            'wall_s': time.perf_counter() - self._wall,
-        }
+ONCE = {('bundle', 'S3'), ('bundle', 'S4'), ('known', 'S5')}
+"""What takes minutes is measured once."""
 
 
-def rmse_to_truth(points: Any, truth: Any) -> float:
-    """Root mean square distance [m] after the best similarity onto the truth."""
-    moved = align(truth, points).S_target_source.apply(points)
-    return float(np.sqrt(np.mean(np.sum((moved - truth) ** 2, axis=1))))
+def _resident_mb(entry: str) -> float:
+    """Memory of this process: VmRSS, or VmHWM (peak)."""
+    for line in Path('/proc/self/status').read_text().splitlines():
+        if line.startswith(entry):
+            return int(line.split()[1]) / 1024.0
+    raise MapMergeError('the memory of a process is read from /proc: this runs on Linux only')
 
 
-def run_merge(load: Workload) -> dict[str, Any]:
-    """Association, links, start, joint merge, test of its price: landmarks, frames, verdict."""
-    config, clock = FusionConfig(), Clock()
-    found = associate(load.submaps)
-    association = of_compressed(load.submaps, found.tracks)
-    links = find_links(load.submaps, association, config)
-    noise = pool_noise(load.submaps)
-    is_shared = association.views > 1
-    cost = JointCost.of(load.submaps, association.tracks, is_shared, noise.weights).reduced()
-    gauges = 7 * (len(load.submaps) - 1)
-    dof = 3 * int((association.views - 1).sum()) - gauges
-    merged = search(
-        cost,
-        links,
-        Gauge.SIMILARITY,
-        lambda price: verify(price, dof, noise, config).accepted,
-        config,
+def run(kind: str, name: str, folder: Path, repeats: int) -> Values:
+    """Measure in this process; memory is the growth of its peak, data included."""
+    fuse(cached('S1', folder).submaps[:2])  # libraries are loaded and warm
+    gc.collect()
+    Path('/proc/self/clear_refs').write_text('5')  # the peak so far is forgotten
+    before = _resident_mb('VmRSS')
+    load = cached(name, folder, bundles=kind == 'bundle')
+    values = KINDS[kind](load, repeats)
+    peak = _resident_mb('VmHWM')
+    return {**values, 'growth_mb': peak - before, 'peak_mb': peak}
+
+
+def measure(kind: str, name: str, folder: Path, repeats: int) -> Values:
+    """One kind of measurement in a process of its own."""
+    repeats = 1 if (kind, name) in ONCE else repeats
+    command = [sys.executable, __file__, '--run', kind, '--sizes', name]
+    command += ['--cache', str(folder), '--repeats', str(repeats)]
+    done = subprocess.run(
+        command, env={**os.environ, **THREADS}, capture_output=True, text=True, check=False
     )
-    verdict, took = verify(merged.cost, dof, noise, config), clock()
-    state, clock = cost.evaluate(merged.points), Clock()
-    keep = np.arange(len(merged.points)) < config.max_landmarks
-    known = knowledge(cost, state, Gauge.SIMILARITY, noise.sigma, keep)
-    known.normal.triangle()
-    knows = clock()
-    ids = np.zeros(association.count, np.uint64)
-    for submap, own in zip(load.submaps, association.tracks, strict=True):
-        ids[own] = submap.compressed_ids
-    return {
-        **took,
-        'knowledge_cpu_s': knows['cpu_s'],
-        'iterations': merged.iterations,
-        'variance_factor': verdict.variance_factor,
-        'rmse_m': rmse_to_truth(merged.points, load.points_world(ids[is_shared])),
-        'landmarks': len(merged.points),
-    }
+    if done.returncode:
+        raise MapMergeError(f'{kind} of {name} failed: {done.stderr.strip()[-2000:]}')
+    return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def run_fuse(load: Workload) -> dict[str, Any]:
-    """Everything that the engine does with messages, requests and outgoing map included."""
-    clock = Clock()
-    fusion = fuse(load.submaps)
-    took = clock()
-    found = fusion.components[0]
-    return {
-        **took,
-        'associate_s': fusion.timing.associate_s,
-        'merge_s': fusion.timing.merge_s,
-        'test_s': fusion.timing.test_s,
-        'maps': len(found.map_ids),
-        'accepted': found.verdict.accepted,
-    }
+def quick(load: Workload | None = None) -> dict[str, Values]:
+    """Every kind of measurement once, of four drones, in this process; memory is left out."""
+    load = load or workload('S2', drones=4)
+    return {kind: measured(load, 1) for kind, measured in KINDS.items()}
 
 
-def run_bundle(load: Workload) -> dict[str, Any]:
-    """Ceres on all observations of all drones, from the drones' optima in the true frames."""
-    from mapmerge_ros.simulation import solve
-    from mapmerge_ros.simulation.joint import join
-
-    ids = [bundle.point_ids for bundle in load.bundles]
-    joint = join(load.bundles, load.S_world_maps, ids)
-    clock = Clock()
-    solve(joint, max_iterations=0)
-    conversion, clock = clock(), Clock()
-    solved = solve(joint)
-    took = {name: value - conversion[name] for name, value in clock().items()}
-    shared = np.unique(np.concatenate([submap.compressed_ids for submap in load.submaps]))
-    points = solved.bundle.points[solved.bundle.rows_of(shared)]
-    return {
-        **took,
-        'iterations': solved.iterations,
-        'converged': solved.converged,
-        'points': len(joint.point_ids),
-        'keyframes': len(joint.keyframe_ids),
-        'rmse_m': rmse_to_truth(points, load.points_world(shared)),
-    }
-
-
-def run_nothing(load: Workload) -> dict[str, Any]:
-    """What the process takes before it does anything."""
-    return {'maps': len(load.submaps)}
-
-
-def measure(kind: str, name: str, folder: Path, repeat: int) -> dict[str, Any]:
-    """One measurement in a process of its own; the median of some times."""
-    command = [sys.executable, __file__, '--run', kind, name, '--cache', str(folder)]
-    runs = []
-    for _ in range(repeat):
-        done = subprocess.run(
-            command, env={**os.environ, **THREADS}, capture_output=True, text=True, check=False
-        )
-        if done.returncode:
-            raise MapMergeError(f'{kind} of {name} failed: {done.stderr.strip()[-2000:]}')
-        runs.append(json.loads(done.stdout.splitlines()[-1]))
-    runs.sort(key=lambda run: run.get('cpu_s', 0.0))
-    return dict(runs[len(runs) // 2])
-
-
-def run(kind: str, name: str, folder: Path) -> dict[str, Any]:
-    """Run in this process; memory is the growth of the peak over the loaded workload."""
-    load = cached(name, folder)
-    if kind != 'bundle':
-        load = Workload(load.name, load.submaps, (), load.S_world_maps, load.scene_points)
-    fuse(load.submaps[:2])  # libraries are loaded and warm
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    found = {'nothing': run_nothing, 'merge': run_merge, 'fuse': run_fuse, 'bundle': run_bundle}
-    values = found[kind](load)
-    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return {**values, 'growth_mb': (after - before) / 1024.0, 'peak_mb': after / 1024.0}
-
-
-def table(results: dict[str, dict[str, Any]]) -> str:
-    """Markdown of all results, with growth exponents between neighbours."""
-    lines = [
-        '| | drones | shared | merge CPU [s] | exponent | std and R̄ CPU [s] '
-        '| all of `fuse` CPU [s] | peak of `fuse` [MB] '
-        '| full bundle CPU [s] | bundle : merge | RMSE merge : bundle |',
-        '|---|---|---|---|---|---|---|---|---|---|---|',
-    ]
-    last: tuple[int, float] | None = None
-    for name, found in results.items():
-        merge, whole, bundle = found['merge'], found['fuse'], found.get('bundle')
-        seconds, drones = merge['cpu_s'], DRONES[name]
-        exponent = ''
-        if last:
-            exponent = f'{np.log(seconds / last[1]) / np.log(drones / last[0]):.2f}'
-        last = drones, seconds
-        full = ('', '', '')
-        if bundle:
-            full = (
-                f'{bundle["cpu_s"]:.1f}',
-                f'{bundle["cpu_s"] / seconds:.0f}',
-                f'{merge["rmse_m"] / bundle["rmse_m"]:.4f}',
-            )
-        cells = [
-            name,
-            str(drones),
-            str(merge['landmarks']),
-            f'{seconds:.3f}',
-            exponent,
-            f'{merge["knowledge_cpu_s"]:.3f}',
-            f'{whole["cpu_s"]:.2f}',
-            f'{whole["peak_mb"]:.0f}',
-            *full,
-        ]
-        lines.append('| ' + ' | '.join(cells) + ' |')
-    return '\n'.join(lines)
+def all_of(sizes: list[str], folder: Path, repeats: int) -> dict[str, Any]:
+    """Every measurement of some sizes, and of the compression."""
+    results: dict[str, Any] = {'drones': {name: DRONES[name] for name in sizes}, 'sizes': {}}
+    for name in sizes:
+        cached(name, folder)
+        results['sizes'][name] = found = {}
+        for kind in KINDS:
+            if kind not in NOT_OF.get(name, ()):
+                found[kind] = measure(kind, name, folder, repeats)
+                print(json.dumps({name: {kind: found[kind]}}), file=sys.stderr, flush=True)
+    results['compression'] = compression(None, repeats)
+    return results
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument('names', nargs='*', default=list(DRONES), metavar='S1')
-    parser.add_argument('--full', action='store_true', help='bundle S3 as well: minutes')
+    parser.add_argument('--sizes', nargs='+', default=list(DRONES), choices=DRONES, metavar='S1')
+    parser.add_argument('--repeats', type=int, default=5)
     parser.add_argument('--cache', type=Path, default=Path('build/workloads'))
-    parser.add_argument('--repeat', type=int, default=5)
-    parser.add_argument('--out', type=Path, help='JSON of all results')
-    parser.add_argument('--page', type=Path, help='Markdown whose table at the end is renewed')
+    parser.add_argument('--quick', action='store_true')
+    parser.add_argument('--json', type=Path, help='all values')
+    parser.add_argument('--markdown', type=Path, help='page whose tables at the end are renewed')
+    parser.add_argument('--figure', type=Path, help='time and memory over the number of drones')
     parser.add_argument('--run', choices=KINDS, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.run:
-        print(json.dumps(run(args.run, args.names[0], args.cache)))
+        print(json.dumps(run(args.run, args.sizes[0], args.cache, args.repeats)))
         return
-    results: dict[str, dict[str, Any]] = {}
-    for name in args.names:
-        cached(name, args.cache)
-        kinds = ['merge', 'fuse'] + ['bundle'] * (
-            name in ('S1', 'S2') or (args.full and name == 'S3')
-        )
-        repeat = {kind: 1 if kind == 'bundle' or name == 'S5' else args.repeat for kind in kinds}
-        results[name] = {kind: measure(kind, name, args.cache, repeat[kind]) for kind in kinds}
-        print(json.dumps({name: results[name]}), file=sys.stderr)
-    print(table(results))
-    if args.page:
-        head = args.page.read_text().partition(MARK)[0]
-        args.page.write_text(f'{head}{MARK}\n{table(results)}\n')
-    if args.out:
-        args.out.write_text(json.dumps(results, indent=1) + '\n')
+    if args.quick:
+        print(json.dumps(quick(), indent=1))
+        return
+    results = all_of(args.sizes, args.cache, args.repeats)
+    print(tables(results))
+    if args.json:
+        args.json.write_text(json.dumps(results, indent=1) + '\n')
+    if args.markdown:
+        head = args.markdown.read_text().partition(MARK)[0]
+        args.markdown.write_text(f'{head}{MARK}\n{tables(results)}\n')
+    if args.figure:
+        draw(results, args.figure)
 
 
 if __name__ == '__main__':
+    for variable, value in THREADS.items():
+        os.environ.setdefault(variable, value)
     main()

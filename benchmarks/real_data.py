@@ -25,7 +25,7 @@ from mapmerge_ros.bundle.selection import matched
 from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion import Fusion, fuse
 from mapmerge_ros.fusion.refine import Robot, refine
-from mapmerge_ros.geometry import Gauge, align, align_robustly
+from mapmerge_ros.geometry import Gauge, align, align_robustly, scene_radius
 from mapmerge_ros.io import decode_submap, encode_submap, load_colmap
 from mapmerge_ros.simulation import join, solve
 from mapmerge_ros.submap import SubMap
@@ -48,11 +48,6 @@ class Row:
     procrustes: float
     merge: float
     seconds: float
-
-
-def scene_radius(gold: np.ndarray) -> float:
-    """Median distance of the gold landmarks from their median."""
-    return float(np.median(np.linalg.norm(gold - np.median(gold, axis=0), axis=1)))
 
 
 def error_ratio(points: np.ndarray, gold: np.ndarray) -> float:

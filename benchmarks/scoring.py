@@ -11,6 +11,7 @@ import numpy as np
 import scipy.spatial
 
 from mapmerge_ros.bundle import Bundle
+from mapmerge_ros.geometry import scene_radius
 from mapmerge_ros.io import load_colmap
 
 FIRST_PRIVATE_ID = 100_000_000
@@ -50,7 +51,7 @@ class Scorer:
         gold, table = load_colmap(folder / 'gold'), np.load(folder / 'gold' / 'links.npz')
         self._gold = gold
         points = table['points']
-        self.radius = float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+        self.radius = scene_radius(points)
         self.near = NEAR_RATIO.get(folder.name, 0.001) * self.radius
         frames = [np.flatnonzero(table['session_of_image'] == k) for k in range(len(self.bundles))]
         self._cameras = [

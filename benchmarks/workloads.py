@@ -21,6 +21,7 @@ from mapmerge_ros.arrays import Floats, Ids, Mask
 from mapmerge_ros.bundle import Bundle, MapName, compress, linearise
 from mapmerge_ros.bundle.compress import eliminate
 from mapmerge_ros.geometry import Similarity
+from mapmerge_ros.io import decode_submap, encode_submap
 from mapmerge_ros.simulation import Scene, Sensing, lawn_mower, observe, random_frame, yard_scene
 from mapmerge_ros.submap import SubMap
 
@@ -45,6 +46,12 @@ COMMON_IN_S1 = 24
 GAUSS_NEWTON_STEPS = 3
 """From the truth to the optimum of half a pixel of noise: the third is below 1e-9 px²."""
 
+SHARED_IN_SESSION = 100
+"""Landmarks of the session whose compression is measured."""
+
+MATCHED_VIEWS = 5
+"""Key frames that see a landmark which is likely to be matched."""
+
 PRIVATE = np.uint64(2**40)
 """Ids from here on are a drone's own."""
 
@@ -56,10 +63,12 @@ class Workload:
     name: str
     submaps: tuple[SubMap, ...]
     bundles: tuple[Bundle, ...]
-    """At their optimum, each in its own frame; empty where they were not kept"""
+    """At their optimum, each in its own frame; empty where they are not wanted or not kept"""
     S_world_maps: tuple[Similarity, ...]
     scene_points: Floats
     """(n, 3) [m]; landmark id i is row i - 1"""
+    revised: SubMap
+    """Second revision of the sub-map in the middle: the same flight, measured again"""
 
     def points_world(self, ids: Ids) -> Floats:
         """True positions (k, 3) of shared landmarks."""
@@ -73,29 +82,50 @@ def workload(name: str, seed: int = 0, *, drones: int | None = None) -> Workload
     count = drones or DRONES[name]
     scene, truths = _flights(rng, count, together=name == 'S1')
     is_common = _common(rng, scene, truths, together=name == 'S1')
-    keep = count <= DRONES['S3']
+    keep = count <= DRONES['S4']
     submaps, bundles, frames = [], [], []
     for k, (truth, own) in enumerate(zip(truths, noise.spawn(count), strict=True)):
-        bundle, S_world_map = _session(truth, own, is_common, k)
-        shared = bundle.point_ids[bundle.point_ids < PRIVATE]
-        name_k = MapName(f'drone{k:04d}/0001', f'drone{k:04d}', stamp_ns=k + 1, id_space='fleet')
-        submaps.append(compress(bundle, name_k, shared, catalogue=False))
-        bundles.append(bundle)
-        frames.append(S_world_map)
-        if not keep:
-            bundles.clear()
-    return Workload(name, tuple(submaps), tuple(bundles), tuple(frames), scene.points)
+        S_map_world = random_frame(own, truth.gauge)
+        bundle = _session(truth, own, is_common, k, S_map_world)
+        submaps.append(_message(bundle, k, 1))
+        if k == count // 2:
+            revised = _message(_session(truth, own, is_common, k, S_map_world), k, 2)
+        bundles += [bundle] if keep else []
+        frames.append(S_map_world.inverse())
+    return Workload(name, tuple(submaps), tuple(bundles), tuple(frames), scene.points, revised)
 
 
-def cached(name: str, folder: Path, seed: int = 0) -> Workload:
-    """Like `workload`, kept in a file: S5 takes minutes to make."""
-    path = folder / f'{name}-{seed}.pickle'
-    if not path.exists():
+def cached(name: str, folder: Path, seed: int = 0, *, bundles: bool = False) -> Workload:
+    """Like `workload`, kept in files: S5 takes minutes to make. With or without the bundles."""
+    messages, own = (folder / f'{name}-{seed}-{part}.pickle' for part in ('messages', 'bundles'))
+    if not messages.exists():
         folder.mkdir(parents=True, exist_ok=True)
         made = workload(name, seed)
-        path.write_bytes(pickle.dumps({key: getattr(made, key) for key in Workload.__slots__}))
-        return made
-    return Workload(**pickle.loads(path.read_bytes()))
+        own.write_bytes(pickle.dumps(made.bundles))
+        light = {key: getattr(made, key) for key in Workload.__slots__} | {'bundles': ()}
+        messages.write_bytes(pickle.dumps(light))
+    load = Workload(**pickle.loads(messages.read_bytes()))
+    return replace(load, bundles=pickle.loads(own.read_bytes())) if bundles else load
+
+
+def session() -> tuple[Bundle, Ids]:
+    """One drone's map of 60 key frames and about 1000 points, and 100 of its landmarks."""
+    bundles = workload('S2', drones=9).bundles
+    bundle = max(bundles, key=lambda one: len(one.point_ids))
+    views = np.bincount(bundle.observation_points, minlength=len(bundle.point_ids))
+    eligible = bundle.point_ids[views >= MATCHED_VIEWS]
+    chosen = np.random.default_rng(0).choice(eligible, SHARED_IN_SESSION, replace=False)
+    return bundle, np.sort(chosen)
+
+
+def _message(bundle: Bundle, drone: int, revision: int) -> SubMap:
+    """The sub-map as it is received: sent and decoded."""
+    shared = bundle.point_ids[bundle.point_ids < PRIVATE]
+    robot = f'drone{drone:04d}'
+    name = MapName(
+        f'{robot}/0001', robot, revision, drone + 1 + 10**6 * revision, id_space='fleet'
+    )
+    return decode_submap(encode_submap(compress(bundle, name, shared, catalogue=False)))
 
 
 def _flights(
@@ -146,12 +176,15 @@ def _common(
 
 
 def _session(
-    truth: Bundle, rng: np.random.Generator, is_common: Mask, drone: int
-) -> tuple[Bundle, Similarity]:
-    """Map at its optimum in a random frame; what is not matched has an id of the drone's own."""
+    truth: Bundle,
+    rng: np.random.Generator,
+    is_common: Mask,
+    drone: int,
+    S_map_world: Similarity,
+) -> Bundle:
+    """Map at its optimum in the given frame; what is not matched has an id of the drone's own."""
     common = is_common[truth.point_ids.astype(np.int64)]
     own = PRIVATE + np.uint64(2**24 * (drone + 1)) + truth.point_ids
-    S_map_world = random_frame(rng, truth.gauge)
     noise_px = 0.5 * rng.normal(size=truth.observations_px.shape)
     bundle = replace(
         truth,
@@ -165,4 +198,4 @@ def _session(
         found = eliminate(lin, rows)
         shared_steps = -np.linalg.lstsq(found.r, found.c, rcond=None)[0].reshape(-1, 3)
         bundle = lin.moved(*found.steps(lin, shared_steps))
-    return bundle, S_map_world.inverse()
+    return bundle

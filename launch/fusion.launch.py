@@ -9,14 +9,13 @@ Start the fusion node, and on request a recording, its robots one by one, and RV
   ros2 launch mapmerge_ros fusion.launch.py namespace:=red
 """
 
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
-
-from launch import LaunchDescription
 
 PACKAGE = 'mapmerge_ros'
 

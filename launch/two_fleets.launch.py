@@ -7,11 +7,10 @@ A robot of the red fleet publishes /red/NAME/submap. Its compressor node finds i
 the remappings below.
 """
 
+from launch import LaunchDescription
 from launch.substitutions import PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
-
-from launch import LaunchDescription
 
 FLEETS = ('red', 'blue')
 

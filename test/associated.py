@@ -8,10 +8,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from submaps import real_model
 
 from mapmerge_ros.association import Correspondences
-from mapmerge_ros.geometry import Gauge, Similarity
-from mapmerge_ros.submap import Descriptors, DescriptorType, Source, SubMap
+from mapmerge_ros.bundle import MapName, compress
+from mapmerge_ros.geometry import Similarity
+from mapmerge_ros.io import load_colmap
+from mapmerge_ros.simulation import announcement
+from mapmerge_ros.submap import SubMap
 
 BYTES = 32
 NOISE = 0.02
@@ -38,32 +43,6 @@ def site(maps: int = 4, seed: int = 0, density: float = 0.2) -> tuple[list[SubMa
         )
         seen.append(rows)
     return submaps, seen
-
-
-def announcement(name, points, descriptors, std, kind=DescriptorType.BINARY) -> SubMap:
-    """A map that says where its landmarks are and what they look like."""
-    count = len(points)
-    return SubMap(
-        map_id=name,
-        robot_id=name,
-        revision=1,
-        stamp_ns=0,
-        frame_id=name,
-        sources=(Source(name, 1),),
-        gauge=Gauge.SIMILARITY,
-        id_space='',
-        landmark_ids=np.arange(count, dtype=np.uint64) + 100,
-        points=points,
-        covariances=np.tile(std**2 * np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0]), (count, 1)),
-        compressed_count=0,
-        a=0.0,
-        packed_r=np.zeros(0, np.float32),
-        c=np.zeros(0),
-        residual_count=0,
-        dof=0,
-        sigma=1.0,
-        descriptors=Descriptors(kind, descriptors),
-    )
 
 
 def permuted(submap: SubMap, rows) -> SubMap:
@@ -98,3 +77,13 @@ def right_and_true(seen, found: Correspondences) -> tuple[int, int, int]:
             right += int((seen[a][rows_a] == seen[b][rows_b]).sum())
             true += len(np.intersect1d(seen[a], seen[b]))
     return links, right, true
+
+
+def real_maps(name) -> list[SubMap]:
+    """Bare announcements of the sessions of a set."""
+    pytest.importorskip('pycolmap', reason='COLMAP models are read by pycolmap')
+    bundles = [load_colmap(path) for path in sorted(real_model(name).glob('session_*'))]
+    return [
+        compress(bundle, MapName(f'{name}/{k}', f'{k}'), bundle.point_ids[:0])
+        for k, bundle in enumerate(bundles)
+    ]

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from mapmerge_ros.association import number_by_id
+from mapmerge_ros.fusion.catalogues import Tracks
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import Descriptors, Source, SubMap, packed_size
 
@@ -56,3 +58,8 @@ def within(low: Sequence[float], high: Sequence[float], share: float = 1.0, seed
     inside = ((SCENE[:, :2] >= low) & (SCENE[:, :2] < high)).all(axis=1)
     kept = np.random.default_rng(seed).random(len(SCENE)) < share
     return np.flatnonzero(inside & kept)
+
+
+def tracks_by_id(submaps: Sequence[SubMap]) -> Tracks:
+    """Landmarks of equal id in the same id space are one track."""
+    return Tracks(*number_by_id(submaps, [submap.landmark_ids for submap in submaps]))

@@ -20,6 +20,7 @@ pytest.importorskip('mapmerge_msgs.msg', reason=REMEDY)
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from mapmerge_msgs.msg import AlignmentArray, FusionStatus  # noqa: E402
 from mapmerge_msgs.msg import SubMap as SubMapMessage  # noqa: E402
+from mapmerge_msgs.srv import MergeNow  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
@@ -33,7 +34,7 @@ from mapmerge_ros.submap import SubMap  # noqa: E402
 
 SHIPPED = Path(__file__).resolve().parents[1] / 'bags' / 'four_drones.mcap'
 
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 """For a condition that normally holds within two seconds; a busy machine may take its time."""
 
 RETRY_S = 5.0
@@ -41,6 +42,8 @@ RETRY_S = 5.0
 
 FUSION = 'mapmerge_ros.nodes.fusion_node'
 ROBOT = 'mapmerge_ros.nodes.robot_node'
+COMPRESSOR = 'mapmerge_ros.nodes.compressor_node'
+RECORDER = 'mapmerge_ros.nodes.record_node'
 
 
 def make_recording(folder: Path) -> Path:
@@ -82,6 +85,11 @@ class Observer(Node):
         self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
 
     @property
+    def merged(self) -> int:
+        """Sub-maps in the last merge of which all messages are here."""
+        return int(self.heard.status.merged) if self.heard.is_complete else 0
+
+    @property
     def node_values(self) -> dict[str, str]:
         return self.diagnostics.get(f'{self._fusion_node}: fusion', (b'', '', {}))[2]
 
@@ -99,6 +107,14 @@ class Observer(Node):
             self._senders[key] = self.create_publisher(SubMapMessage, topic, profile)
         raw = submap if isinstance(submap, bytes) else encode_submap(submap)
         self._senders[key].publish(raw)
+
+    def latest(self, kind: Any, topic: str) -> dict[str, Any]:
+        """Return what will hold the newest message of a latched topic, as `message`."""
+        heard: dict[str, Any] = {}
+        self.create_subscription(
+            kind, topic, lambda message: heard.update(message=message), LATCHED_PROFILE
+        )
+        return heard
 
     def leave(self, topic: str) -> None:
         """End the publishers of a topic, as a robot that goes."""
@@ -134,6 +150,10 @@ class Observer(Node):
         self.destroy_client(client)
         return answer.result()
 
+    def merge_now(self, others: Sequence[Any] = ()) -> Any:
+        """Ask for a merge; the answer of the service."""
+        return self.call(MergeNow, 'merge_now', others)
+
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
             values = {item.key: item.value for item in status.values}
@@ -141,14 +161,14 @@ class Observer(Node):
 
 
 @contextmanager
-def observing(domain: int, fusion_node: str = '/fusion_node') -> Iterator[Observer]:
+def observing(domain: int, fusion_node_name: str = '/fusion_node') -> Iterator[Observer]:
     """ROS in this process, in a domain that only this machine sees."""
     os.environ.update(local_environment(domain))
     rclpy.init(
         args=['--ros-args', '--disable-external-lib-logs'],
         signal_handler_options=SignalHandlerOptions.NO,
     )
-    observer = Observer(fusion_node)
+    observer = Observer(fusion_node_name)
     try:
         yield observer
     finally:

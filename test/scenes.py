@@ -63,3 +63,19 @@ def random_bundle(
     return bundle.moved(
         off * 0.1 * rng.normal(size=(keyframes, 6)), off * rng.normal(size=(points, 3))
     )
+
+
+def assert_same_elimination(fast, dense):
+    """The same cost, and the same way back to what was eliminated, to 1e-8."""
+    size = np.abs(dense.r.T @ dense.r).max()
+    np.testing.assert_allclose(fast.r.T @ fast.r / size, dense.r.T @ dense.r / size, atol=1e-8)
+    np.testing.assert_allclose(fast.a, dense.a, rtol=1e-8)
+    gradient = dense.r.T @ dense.c
+    np.testing.assert_allclose(
+        fast.r.T @ fast.c, gradient, atol=1e-8 * max(np.abs(gradient).max(), 1)
+    )
+    size = np.abs(dense.session_by_shared).max()
+    np.testing.assert_allclose(
+        fast.session_by_shared / size, dense.session_by_shared / size, atol=1e-8
+    )
+    np.testing.assert_allclose(fast.session_offset, dense.session_offset, atol=1e-8)

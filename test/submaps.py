@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from mapmerge_ros.bundle import Bundle, MapName
+from mapmerge_ros.bundle.lens import Lens
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.io import NamedBundle
 from mapmerge_ros.submap import Descriptors, DescriptorType, Source, SubMap
@@ -88,3 +90,19 @@ def random_bundle(rng: np.random.Generator, gauge: Gauge = Gauge.SIMILARITY) -> 
     )
     name = MapName('drone1/0001', 'drone1', 3, 1_700_000_000_123_456_789, 'drone1/map', 'fleet')
     return NamedBundle(name, bundle, tuple(range(10**9, 10**9 + m)))
+
+
+def assert_same(left: Any, right: Any) -> None:
+    """Field by field, bit by bit."""
+    for field in fields(left):
+        one, other = getattr(left, field.name), getattr(right, field.name)
+        if isinstance(one, Descriptors):
+            assert one.type is other.type
+            one, other = one.rows, other.rows
+        if isinstance(one, Lens):
+            assert_same(one, other)
+        elif isinstance(one, np.ndarray):
+            assert one.dtype == other.dtype, field.name
+            np.testing.assert_array_equal(one, other, err_msg=field.name)
+        else:
+            assert one == other, field.name

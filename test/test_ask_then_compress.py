@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +13,17 @@ import numpy as np
 import pytest
 from ros_processes import (
     FUSION,
+    PATIENCE_S,
     REMEDY,
     Observer,
     SubMapMessage,
-    observing,
     spin_for,
     spin_until,
 )
 
 from mapmerge_ros.bundle import compress
 from mapmerge_ros.cli.main import main
-from mapmerge_ros.cli.processes import Children, free_domain
+from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.fusion import FusionConfig, fuse
 from mapmerge_ros.geometry import align
 from mapmerge_ros.io import decode_submap, encode_request
@@ -53,18 +52,6 @@ def bundles(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture
-def children(tmp_path: Path) -> Iterator[Children]:
-    with Children(free_domain(), tmp_path / 'logs') as started:
-        yield started
-
-
-@pytest.fixture
-def observer(children: Children) -> Iterator[Observer]:
-    with observing(children.domain) as node:
-        yield node
-
-
 def start_robot(children: Children, bundles: Path, robot_id: str) -> Any:
     values = {'bundle': str(bundles), 'robot_id': robot_id}
     return children.start(robot_id, ROBOT, values, {'submap': f'/{robot_id}/submap'})
@@ -73,11 +60,6 @@ def start_robot(children: Children, bundles: Path, robot_id: str) -> Any:
 def wait_for_log(observer: Observer, children: Children, name: str, words: str) -> None:
     log = children.log(name)
     spin_until([observer], lambda: words in log.read_text(), f'{name}: {words}')
-
-
-def merged(observer: Observer) -> int:
-    heard = observer.heard
-    return heard.status.merged if heard.is_complete else 0
 
 
 def revisions(observer: Observer) -> dict[str, int]:
@@ -96,7 +78,7 @@ def test_robots_announce_then_compress_what_a_late_node_asks_for(
     for robot_id in robots:
         wait_for_log(observer, children, robot_id, 'announced')
     children.start('fusion', FUSION, {'merge_period': 0.3, 'request_landmarks': 40})
-    spin_until([observer], lambda: merged(observer) == DRONES, 'all merged')
+    spin_until([observer], lambda: observer.merged == DRONES, 'all merged')
     spin_for([observer], 2.5)
     asked = sent(observer)
     # One that was asked before the node had heard of all may be asked for something else.
@@ -115,7 +97,7 @@ def test_robots_announce_then_compress_what_a_late_node_asks_for(
         [observer],
         lambda: (
             revisions(observer)[fleet.names[0].map_id] > before[fleet.names[0].map_id]
-            and merged(observer) == DRONES
+            and observer.merged == DRONES
         ),
         'a robot that comes back under its name is asked, and merged again',
     )
@@ -124,7 +106,7 @@ def test_robots_announce_then_compress_what_a_late_node_asks_for(
     assert sent(observer) == asked + 1, 'the others have what it needs'
     assert again.poll() is None
     assert children.ended() == ''
-    assert set(children.stop().values()) == {0}
+    assert set(children.stop(PATIENCE_S).values()) == {0}
 
 
 def assert_map_is_true(observer: Observer, fleet: Fleet) -> None:

@@ -9,52 +9,22 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from submaps import real_model
+from associated import permuted, real_maps
 
-from mapmerge_ros.association import AssociationConfig, Decision, match_pair, nearest, screen
-from mapmerge_ros.bundle import MapName, compress
-from mapmerge_ros.geometry import Gauge, Similarity, align
-from mapmerge_ros.io import load_colmap
-from mapmerge_ros.simulation import StreetConfig, simulate_street
-from mapmerge_ros.submap import Descriptors, DescriptorType, Source, SubMap
+from mapmerge_ros.association import AssociationConfig, Decision, match_pair, nearest
+from mapmerge_ros.bundle import compress
+from mapmerge_ros.geometry import Gauge, align
+from mapmerge_ros.simulation import (
+    StreetConfig,
+    announcement,
+    random_frame,
+    simulate_street,
+)
+from mapmerge_ros.submap import Descriptors, DescriptorType
 
 CONFIG = AssociationConfig()
 COMMON = 60
-
-
-def catalogue(name, points, rows, *, kind=DescriptorType.BINARY, gauge=Gauge.SIMILARITY):
-    """Bare announcement of a map."""
-    count = len(points)
-    return SubMap(
-        map_id=name,
-        robot_id=name,
-        revision=1,
-        stamp_ns=0,
-        frame_id=name,
-        sources=(Source(name, 1),),
-        gauge=gauge,
-        id_space='',
-        landmark_ids=np.arange(count, dtype=np.uint64) + 7,
-        points=points,
-        covariances=np.tile([1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6], (count, 1)),
-        compressed_count=0,
-        a=0.0,
-        packed_r=np.zeros(0, np.float32),
-        c=np.zeros(0),
-        residual_count=0,
-        dof=0,
-        sigma=1.0,
-        descriptors=Descriptors(kind, rows),
-    )
-
-
-def random_frame(rng, gauge):
-    """Any transform of the group."""
-    tangent = rng.normal(size=7)
-    tangent[6] *= gauge is Gauge.SIMILARITY
-    if gauge is Gauge.YAW_TRANSLATION:
-        tangent[:2] = 0.0
-    return Similarity.identity() if gauge is Gauge.NONE else Similarity.exp(tangent)
+STD = 1e-3
 
 
 def random_pair(seed, *, kind=DescriptorType.BINARY, gauge=Gauge.SIMILARITY, noise=0.002):
@@ -73,8 +43,8 @@ def random_pair(seed, *, kind=DescriptorType.BINARY, gauge=Gauge.SIMILARITY, noi
         rows_b[:COMMON] = np.clip(seen + rng.normal(0.0, 20.0, seen.shape), 0, 255)
     S_a_b = random_frame(rng, gauge)
     points_b = S_a_b.inverse().apply(points_b + noise * rng.normal(size=points_b.shape))
-    a = catalogue('a', points_a, rows_a, kind=kind, gauge=gauge)
-    return a, catalogue('b', points_b, rows_b, kind=kind, gauge=gauge), S_a_b
+    a = announcement('a', points_a, rows_a, STD, kind, gauge)
+    return a, announcement('b', points_b, rows_b, STD, kind, gauge), S_a_b
 
 
 def pairs_of(match, a, b):
@@ -122,16 +92,6 @@ def test_the_order_of_landmarks_does_not_matter():
     one, other = match_pair(a, b, CONFIG), match_pair(a, mixed, CONFIG)
     assert pairs_of(one, a, b) == pairs_of(other, a, mixed)
     assert np.array_equal(one.S_a_b.rotation, other.S_a_b.rotation)
-
-
-def permuted(submap, rows):
-    return replace(
-        submap,
-        landmark_ids=submap.landmark_ids[rows],
-        points=submap.points[rows],
-        covariances=submap.covariances[rows],
-        descriptors=submap.descriptors[rows],
-    )
 
 
 def test_descriptors_of_another_kind_are_kept_apart_with_a_reason():
@@ -267,82 +227,6 @@ def test_the_same_facade_is_joined_and_its_matches_are_right(street):
             assert same.mean() > 0.98
 
 
-# Which pairs are worth it
-
-
-def ring(count, seed=0):
-    """Each map shares 30 of 150 landmarks with the next one, and the last with the first."""
-    rng = np.random.default_rng(seed)
-    points = rng.normal(size=(count, 120, 3))
-    looks = rng.integers(0, 256, (count, 120, 32), dtype=np.uint8)
-    maps = []
-    for k in range(count):
-        after = (k + 1) % count
-        rows = np.concatenate([looks[k], looks[after, :30]])
-        rows = rows ^ np.packbits(rng.random((150, 32, 8)) < 0.08, axis=-1)[..., 0]
-        where = random_frame(rng, Gauge.SIMILARITY).apply(
-            np.concatenate([points[k], points[after, :30]])
-        )
-        maps.append(catalogue(f'map{k:02d}', where, rows))
-    return maps, {tuple(sorted((k, (k + 1) % count))) for k in range(count)}
-
-
-def test_few_maps_are_all_matched():
-    maps, _ = ring(8)
-    assert screen(maps, CONFIG) == tuple(combinations(range(8), 2))
-
-
-def test_screening_keeps_every_true_pair_of_many_and_little_else():
-    maps, true = ring(30)
-    chosen = set(screen(maps, CONFIG))
-    assert true <= chosen
-    assert len(chosen) < 60
-
-
-def test_the_order_of_maps_does_not_change_what_is_matched():
-    maps, _ = ring(20, seed=1)
-    order = np.random.default_rng(1).permutation(20)
-    names = [{maps[i].map_id, maps[j].map_id} for i, j in screen(maps, CONFIG)]
-    mixed = [maps[k] for k in order]
-    again = [{mixed[i].map_id, mixed[j].map_id} for i, j in screen(mixed, CONFIG)]
-    assert sorted(map(sorted, names)) == sorted(map(sorted, again))
-
-
-def test_maps_of_nothing_alike_are_not_worth_matching():
-    rng = np.random.default_rng(4)
-    for count in (0, 1, 2, 14):
-        maps = [
-            catalogue(f'{k:02d}', np.eye(3), rng.integers(0, 256, (3, 32), dtype=np.uint8))
-            for k in range(count)
-        ]
-        assert screen(maps, replace(CONFIG, screen_above=0)) == ()
-
-
-def test_a_place_that_all_of_a_large_fleet_see_is_no_reason_to_skip_it():
-    rng = np.random.default_rng(5)
-    points, rows = rng.normal(size=(20, 3)), rng.integers(0, 256, (20, 32), dtype=np.uint8)
-    maps = [catalogue(f'{k:02d}', points, rows) for k in range(80)]
-    assert len(screen(maps, CONFIG)) == 80 * 79 // 2
-
-
-def test_screening_survives_equal_missing_and_foreign_descriptors():
-    maps, true = ring(14, seed=2)
-    same = np.full((4000, 32), 9, np.uint8)
-    rng = np.random.default_rng(3)
-    points = rng.normal(size=(4000, 3))
-    sift = rng.integers(0, 256, (4000, 128), dtype=np.uint8)
-    odd = [
-        catalogue('equal0', points, same),
-        catalogue('equal1', points, same),
-        catalogue('zero', points, 0 * same),
-        catalogue('sift', points, sift, kind=DescriptorType.SIFT),
-        replace(catalogue('none', points, same), descriptors=Descriptors.none(4000)),
-    ]
-    chosen = set(screen(maps + odd, CONFIG))
-    assert true <= chosen
-    assert not {pair for pair in chosen if max(pair) >= 16}, 'nothing can be said of these'
-
-
 # Real maps
 
 
@@ -364,13 +248,6 @@ def test_real_maps_are_joined(name, least, precision):
     assert np.concatenate(same).mean() > precision
 
 
-def test_screening_loses_no_pair_of_euroc_that_can_be_joined():
-    maps = real_maps('euroc_v101_maplab')
-    chosen = set(screen(maps, replace(CONFIG, screen_above=0)))
-    for i, j in set(combinations(range(8), 2)) - chosen:
-        assert match_pair(maps[i], maps[j], CONFIG).decision is not Decision.JOINED
-
-
 def test_halves_and_shuffled_real_maps_are_not_joined():
     maps = real_maps('euroc_v101_maplab')
     rng = np.random.default_rng(11)
@@ -382,13 +259,3 @@ def test_halves_and_shuffled_real_maps_are_not_joined():
         mixed = other.descriptors[rng.permutation(len(other.points))]
         for a, b in (halves, (own, replace(other, descriptors=mixed))):
             assert match_pair(a, b, CONFIG).decision is not Decision.JOINED
-
-
-def real_maps(name):
-    """Bare announcements of the sessions of a set."""
-    pytest.importorskip('pycolmap', reason='COLMAP models are read by pycolmap')
-    bundles = [load_colmap(path) for path in sorted(real_model(name).glob('session_*'))]
-    return [
-        compress(bundle, MapName(f'{name}/{k}', f'{k}'), bundle.point_ids[:0])
-        for k, bundle in enumerate(bundles)
-    ]

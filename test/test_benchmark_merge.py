@@ -11,21 +11,53 @@ pytest.importorskip('pycolmap', reason='the full bundle is solved by Ceres: pip 
 
 sys.path.insert(0, str(Path(__file__).parents[1] / 'benchmarks'))
 
-from merge import run_bundle, run_fuse, run_merge
+from merge import quick
+from merge_tables import rows_of, tables
 from workloads import cached, workload
 
 
-def test_a_small_fleet_is_merged_as_well_as_it_is_bundled():
-    load = workload('S2', drones=4)
-    merged, bundled = run_merge(load), run_bundle(load)
-    assert bundled['converged']
-    assert merged['rmse_m'] < 1.02 * bundled['rmse_m']
-    assert 0.8 < merged['variance_factor'] < 1.2
-    assert run_fuse(load)['maps'] == 4
+@pytest.fixture(scope='module')
+def measured():
+    return quick(workload('S2', drones=4))
+
+
+def test_a_small_fleet_is_merged_as_well_as_it_is_bundled(measured):
+    assert measured['bundle']['converged']
+    assert measured['merge']['rmse_m'] < 1.02 * measured['bundle']['rmse_m']
+    assert measured['dense']['rmse_m'] == pytest.approx(measured['merge']['rmse_m'], rel=1e-5)
+    assert 0.8 < measured['merge']['variance_factor'] < 1.2
+    assert measured['whole']['maps'] == 4
+    assert measured['rewarm']['apart_m'] < 1e-4 * measured['merge']['rmse_m']
+
+
+def test_the_tables_have_every_size_and_every_ratio(measured):
+    found = {kind: {**values, 'growth_mb': 1.0} for kind, values in measured.items()}
+    unfinished = {**found, 'bundle': {**found['bundle'], 'converged': False}}
+    results = {
+        'drones': {'S2': 16, 'S3': 64},
+        'sizes': {'S2': found, 'S3': unfinished},
+        'compression': {
+            'cpu_s': 0.1,
+            'dense_cpu_s': 50.0,
+            'difference': 1e-11,
+            'keyframes': 60,
+            'points': 1000,
+            'landmarks': 100,
+        },
+    }
+    first, second = rows_of(results)
+    assert first['ratio'] == pytest.approx(found['bundle']['cpu_s'] / found['merge']['cpu_s'])
+    assert 'rmse_ratio' not in second
+    page = tables(results)
+    assert '| S3 | 64 |' in page
+    assert '500 times' in page
 
 
 def test_a_workload_is_kept_in_a_file(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules['workloads'].DRONES, 'S1', 2)
-    made, read = cached('S1', tmp_path), cached('S1', tmp_path)
+    made, read = cached('S1', tmp_path), cached('S1', tmp_path, bundles=True)
     assert [s.map_id for s in made.submaps] == [s.map_id for s in read.submaps]
     assert (made.submaps[1].packed_r == read.submaps[1].packed_r).all()
+    assert (len(made.bundles), len(read.bundles)) == (0, 2)
+    assert read.revised.revision == 2
+    assert read.revised.map_id == read.submaps[1].map_id

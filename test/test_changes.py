@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapmerge_ros.fusion import Fusion, FusionConfig, Kind, fuse
-from mapmerge_ros.geometry import align
+from mapmerge_ros.fusion import Fusion, FusionConfig, Kind, component, fuse
+from mapmerge_ros.fusion.solution import Solution, solve
+from mapmerge_ros.geometry import Similarity, align
 from mapmerge_ros.io.summary import summarise
 from mapmerge_ros.io.wording import what_moved
 from mapmerge_ros.submap import SubMap
@@ -97,6 +98,36 @@ def test_displacements_are_those_of_the_scene():
             assert np.linalg.norm(sign * seen - want) < 6.0 * std + 0.05
 
 
+def test_the_frames_in_which_the_rounds_are_merged_do_not_matter(monkeypatch):
+    rounds = []
+
+    def turned(*args: object) -> Solution:
+        rounds.append(solve(*args))
+        tangent = len(rounds) * np.array([0.4, -0.9, 0.7, 3.0, -2.0, 1.0, 0.3])
+        S_turned_estimate = Similarity.exp(tangent)
+        found = rounds[-1]
+        return replace(
+            found,
+            estimate=replace(
+                found.estimate, points=S_turned_estimate.apply(found.estimate.points)
+            ),
+            S_global_estimate=found.S_global_estimate @ S_turned_estimate.inverse(),
+        )
+
+    submaps = moved_fleet(1).submaps()
+    expected = fuse(submaps).changes
+    monkeypatch.setattr(component, 'solve', turned)
+    found = fuse(submaps).changes
+    assert len(rounds) > 1
+    for one, other in zip(found, expected, strict=True):
+        assert one.landmark_id == other.landmark_id
+        size = np.abs(other.covariance).max()
+        np.testing.assert_allclose(one.covariance / size, other.covariance / size, atol=1e-4)
+        np.testing.assert_allclose(
+            one.displacement_global, other.displacement_global, atol=1e-3 * np.sqrt(size)
+        )
+
+
 def test_a_moved_landmark_goes_on_as_two_and_the_newest_keeps_the_id():
     fleet = moved_fleet(1)
     submaps = {submap.map_id: submap for submap in fleet.submaps()}
@@ -137,7 +168,8 @@ def test_a_map_that_is_wrong_as_a_whole_is_not_explained_away():
     )
     submaps[1] = replace(submaps[1], points=points)
     fusion = fuse(submaps)
-    assert not fusion.verdict.accepted
+    assert [item.submap.map_id for item in fusion.quarantined] == [submaps[1].map_id]
+    assert not fuse(submaps, FusionConfig(unlock=False)).verdict.accepted
 
 
 def test_the_summary_lists_changes():
@@ -154,6 +186,27 @@ def test_without_unlocking_the_merge_is_refused():
     fusion = fuse(moved_fleet(1).submaps(), FusionConfig(unlock=False))
     assert not fusion.verdict.accepted
     assert fusion.changes == ()
+
+
+@pytest.mark.parametrize(('size', 'stays'), [(7.0, True), (30.0, False)])
+def test_a_single_landmark_is_told_whether_it_is_taken_out_or_not(size, stays):
+    submaps = list(simulate_fleet(FleetConfig(), 4).submaps(catalogue=False))
+    fusion, k = fuse(submaps), 1
+    association = fusion.components[0].association
+    shared = np.flatnonzero((association.views > 1)[association.tracks[k]])
+    row = int(shared[7])
+    std = submaps[k].sigma / np.linalg.norm(submaps[k].triangle()[:, 3 * row])
+    points = submaps[k].points.copy()
+    points[row, 0] += size * std  # of this coordinate, all others known
+    submaps[k] = replace(submaps[k], points=points)
+    told = {change.landmark_id: change for change in fuse(submaps).changes}
+    assert len(told) <= 2
+    change = told[int(submaps[k].compressed_ids[row])]
+    assert (change.kind, change.object_id) == (Kind.DOUBTFUL, 0)
+    assert change.merged is stays
+    moved = size * std * fusion.alignments[k].S_global_map.scale
+    assert np.linalg.norm(change.displacement_global) == pytest.approx(moved, rel=0.5)
+    assert change.p_value < 1e-3
 
 
 def test_the_order_of_the_maps_changes_nothing():

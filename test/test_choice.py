@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from catalogues import SCENE, catalogue, within
+from catalogues import SCENE, catalogue, tracks_by_id, within
 from scenes import random_bundle
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import cKDTree
@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from mapmerge_ros.arrays import Ids
 from mapmerge_ros.bundle import MapName, announce
 from mapmerge_ros.fusion import FusionConfig
-from mapmerge_ros.fusion.catalogues import ALONE, Tracks, tracks_by_id
+from mapmerge_ros.fusion.catalogues import ALONE, Tracks
 from mapmerge_ros.fusion.choice import ENOUGH, choose_landmarks
 from mapmerge_ros.fusion.offline import choose_for_bundles
 from mapmerge_ros.fusion.requests import plan_requests

@@ -5,22 +5,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from ros_processes import (
-    FUSION,
-    REMEDY,
-    Observer,
-    load,
-    make_recording,
-    observing,
-    spin_until,
-)
+from ros_processes import FUSION, REMEDY, Observer, observing, spin_until
 from test_node_fleets import submap_of
 
 from mapmerge_ros.cli.processes import Children, free_domain
@@ -35,51 +26,21 @@ visualization = pytest.importorskip('visualization_msgs.msg', reason=REMEDY)
 from mapmerge_ros.nodes.cloud import POINT, make_cloud, robot_colours  # noqa: E402
 from mapmerge_ros.nodes.frames import MISSING, TFMessage, placeable  # noqa: E402
 from mapmerge_ros.nodes.markers import axes  # noqa: E402
-from mapmerge_ros.nodes.quality import LATCHED_PROFILE  # noqa: E402
-
-
-@pytest.fixture(scope='module')
-def submaps(tmp_path_factory: pytest.TempPathFactory) -> tuple[SubMap, ...]:
-    return load(make_recording(tmp_path_factory.mktemp('recording')))
-
-
-@pytest.fixture
-def children(tmp_path: Path) -> Iterator[Children]:
-    with Children(free_domain(), tmp_path / 'logs') as started:
-        yield started
-
-
-@pytest.fixture
-def observer(children: Children) -> Iterator[Observer]:
-    with observing(children.domain) as node:
-        yield node
-
-
-def latest(observer: Observer, kind: Any, topic: str) -> dict[str, Any]:
-    heard: dict[str, Any] = {}
-    observer.create_subscription(
-        kind, topic, lambda message: heard.update(message=message), LATCHED_PROFILE
-    )
-    return heard
 
 
 def test_a_late_viewer_gets_points_markers_and_frames(
-    children: Children, observer: Observer, submaps: tuple[SubMap, ...]
+    children: Children, observer: Observer, drones: tuple[SubMap, ...]
 ) -> None:
     children.start('fusion', FUSION, {'merge_period': 0.2, 'max_ellipsoids': 7})
-    for submap in submaps:
+    for submap in drones:
         observer.send(f'/{submap.robot_id}/submap', submap)
-    spin_until(
-        [observer],
-        lambda: observer.heard.is_complete and observer.heard.status.merged == len(submaps),
-        'all merged',
-    )
-    points = latest(observer, PointCloud2, '/fusion_node/points')
-    markers = latest(observer, visualization.MarkerArray, '/fusion_node/markers')
-    frames = latest(observer, TFMessage, '/tf_static') if TFMessage else {'message': None}
+    spin_until([observer], lambda: observer.merged == len(drones), 'all merged')
+    points = observer.latest(PointCloud2, '/fusion_node/points')
+    markers = observer.latest(visualization.MarkerArray, '/fusion_node/markers')
+    frames = observer.latest(TFMessage, '/tf_static') if TFMessage else {'message': None}
     spin_until([observer], lambda: points and markers and frames, 'the latest of each')
 
-    fusion = fuse(submaps, FusionConfig(map_id='fusion_node/global'))
+    fusion = fuse(drones, FusionConfig(map_id='fusion_node/global'))
     cloud = points['message']
     assert cloud.header.frame_id == 'global'
     assert [field.name for field in cloud.fields] == ['x', 'y', 'z', 'rgb', 'std', 'views']
@@ -94,7 +55,7 @@ def test_a_late_viewer_gets_points_markers_and_frames(
     known = np.isfinite(found['std'])
     assert known.sum() == expected.landmark_count
     assert (found['std'][known] > 0.0).all()
-    assert_markers(markers['message'].markers, fusion, submaps)
+    assert_markers(markers['message'].markers, fusion, drones)
     if TFMessage is None:
         assert MISSING in children.log('fusion').read_text()
     else:
@@ -106,7 +67,7 @@ def packed(colour: tuple[int, int, int]) -> int:
     return (colour[0] << 16) | (colour[1] << 8) | colour[2]
 
 
-def assert_markers(markers: Any, fusion: Any, submaps: tuple[SubMap, ...]) -> None:
+def assert_markers(markers: Any, fusion: Any, drones: tuple[SubMap, ...]) -> None:
     kind = visualization.Marker
     assert markers[0].action == kind.DELETEALL
     by_namespace: dict[str, list[Any]] = {}
@@ -118,11 +79,11 @@ def assert_markers(markers: Any, fusion: Any, submaps: tuple[SubMap, ...]) -> No
     (links,) = by_namespace['links']
     joined = [pair for pair in fusion.pairs if pair.shared]
     assert len(links.points) == 2 * len(joined) > 0
-    assert {marker.text for marker in by_namespace['labels']} == {x.map_id for x in submaps}
+    assert {marker.text for marker in by_namespace['labels']} == {x.map_id for x in drones}
     assert len(by_namespace['landmark_std']) == 7
-    assert len(by_namespace['frames']) == len(submaps)
+    assert len(by_namespace['frames']) == len(drones)
     # The one that holds the global frame has no uncertainty.
-    assert len(submaps) - 1 <= len(by_namespace['frame_std']) <= len(submaps)
+    assert len(drones) - 1 <= len(by_namespace['frame_std']) <= len(drones)
 
 
 def assert_frames(transforms: Any, fusion: Any) -> None:
@@ -149,13 +110,9 @@ def test_what_moved_is_told_and_drawn(children: Children, observer: Observer) ->
     children.start('fusion', FUSION, {'merge_period': 0.2})
     for submap in fleet:
         observer.send(f'/{submap.robot_id}/submap', submap)
-    spin_until(
-        [observer],
-        lambda: observer.heard.is_complete and observer.heard.status.merged == len(fleet),
-        'all merged',
-    )
-    changes = latest(observer, ChangeArray, '/fusion_node/changes')
-    markers = latest(observer, visualization.MarkerArray, '/fusion_node/markers')
+    spin_until([observer], lambda: observer.merged == len(fleet), 'all merged')
+    changes = observer.latest(ChangeArray, '/fusion_node/changes')
+    markers = observer.latest(visualization.MarkerArray, '/fusion_node/markers')
     spin_until([observer], lambda: changes and markers, 'the latest of each')
     told = changes['message'].changes
     moved = [change for change in told if change.kind == Change.KIND_MOVED]
@@ -227,7 +184,7 @@ def test_without_tf2_messages_there_is_one_line_and_all_the_rest(
         children.start('fusion', FUSION, {'merge_period': 0.1})
         for submap in small:
             observer.send('/submaps', submap)
-        points = latest(observer, PointCloud2, '/fusion_node/points')
+        points = observer.latest(PointCloud2, '/fusion_node/points')
         spin_until(
             [observer],
             lambda: (

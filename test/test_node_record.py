@@ -9,16 +9,15 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from ros_processes import FUSION, Observer, load, make_recording, observing, spin_for, spin_until
+from ros_processes import FUSION, Observer, spin_for, spin_until
 from rosbags.rosbag2 import Reader
 
 from mapmerge_ros.cli.main import main
-from mapmerge_ros.cli.processes import Children, free_domain
+from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.fusion import FusionEngine
 from mapmerge_ros.io import encode_submap, write_submaps
 from mapmerge_ros.io.bags import read_raw
@@ -27,28 +26,11 @@ from mapmerge_ros.io.typestore import SUBMAP
 from mapmerge_ros.submap import SubMap
 
 
-@pytest.fixture(scope='module')
-def submaps(tmp_path_factory: pytest.TempPathFactory) -> tuple[SubMap, ...]:
-    return load(make_recording(tmp_path_factory.mktemp('recording')))
-
-
-@pytest.fixture
-def children(tmp_path: Path) -> Iterator[Children]:
-    with Children(free_domain(), tmp_path / 'logs') as started:
-        yield started
-
-
-@pytest.fixture
-def observer(children: Children) -> Iterator[Observer]:
-    with observing(children.domain) as node:
-        yield node
-
-
 def test_what_was_said_is_recorded_what_was_latched_before_too(
-    children: Children, observer: Observer, submaps: tuple[SubMap, ...], tmp_path: Path
+    children: Children, observer: Observer, drones: tuple[SubMap, ...], tmp_path: Path
 ) -> None:
     file = tmp_path / 'site.mcap'
-    observer.send('/a/submap', submaps[0])
+    observer.send('/a/submap', drones[0])
     children.start('fusion', FUSION, {'merge_period': 0.2})
     command = [sys.executable, '-m', 'mapmerge_ros.cli.main', 'record', '-o', str(file)]
     log = (tmp_path / 'record.log').open('wb')
@@ -57,9 +39,9 @@ def test_what_was_said_is_recorded_what_was_latched_before_too(
     )
     try:
         spin_until([observer], lambda: observer.heard_by('/a/submap') == 2, 'both listen')
-        observer.send('/b/submap', submaps[1], latched=False)
+        observer.send('/b/submap', drones[1], latched=False)
         spin_until([observer], lambda: observer.heard_by('/b/submap') == 2, 'both listen')
-        observer.send('/b/submap', submaps[1], latched=False)
+        observer.send('/b/submap', drones[1], latched=False)
         spin_until(
             [observer],
             lambda: observer.heard.is_complete and observer.heard.status.merged >= 2,
@@ -75,16 +57,16 @@ def test_what_was_said_is_recorded_what_was_latched_before_too(
         log.close()
     assert 'messages of' in words()
     raw = set(read_raw(file, SUBMAP))
-    assert {encode_submap(submaps[0]), encode_submap(submaps[1])} <= raw
+    assert {encode_submap(drones[0]), encode_submap(drones[1])} <= raw
     with Reader(file) as reader:
         topics = {x.topic for x in reader.connections if x.msgcount}
     assert set(results) <= topics
     assert main(['info', str(file)]) == 0
 
 
-def test_a_replay_goes_on_from_a_state(submaps: tuple[SubMap, ...], tmp_path: Path) -> None:
-    engine, half = FusionEngine(), len(submaps) // 2
-    for submap in submaps[:half]:
+def test_a_replay_goes_on_from_a_state(drones: tuple[SubMap, ...], tmp_path: Path) -> None:
+    engine, half = FusionEngine(), len(drones) // 2
+    for submap in drones[:half]:
         engine.add(submap)
     engine.fuse()
     save_state(tmp_path / 'state.mcap', engine.state(), 0)
@@ -95,9 +77,9 @@ def test_a_replay_goes_on_from_a_state(submaps: tuple[SubMap, ...], tmp_path: Pa
         assert main(['replay', str(bag), '--out', str(out), *more]) == 0
         return json.loads((out / 'summary.json').read_text())
 
-    whole = replayed('whole', submaps)
-    rest = replayed('rest', submaps[half:], '--resume', str(tmp_path / 'state.mcap'))
-    assert [item['map_id'] for item in rest['sub_maps']] == [x.map_id for x in submaps]
+    whole = replayed('whole', drones)
+    rest = replayed('rest', drones[half:], '--resume', str(tmp_path / 'state.mcap'))
+    assert [item['map_id'] for item in rest['sub_maps']] == [x.map_id for x in drones]
     assert rest['test']['a_tilde'] == pytest.approx(whole['test']['a_tilde'], rel=1e-9)
     assert [x['state'] for x in rest['sub_maps']] == [x['state'] for x in whole['sub_maps']]
     missing = ['replay', str(tmp_path / 'whole.mcap'), '--resume', str(tmp_path / 'no.mcap')]
@@ -105,17 +87,17 @@ def test_a_replay_goes_on_from_a_state(submaps: tuple[SubMap, ...], tmp_path: Pa
 
 
 def test_record_ends_at_sigterm_with_a_whole_file(
-    children: Children, observer: Observer, submaps: tuple[SubMap, ...], tmp_path: Path
+    children: Children, observer: Observer, drones: tuple[SubMap, ...], tmp_path: Path
 ) -> None:
     file = tmp_path / 'site.mcap'
-    observer.send('/a/submap', submaps[0])
+    observer.send('/a/submap', drones[0])
     command = [sys.executable, '-m', 'mapmerge_ros.cli.main', 'record', '-o', str(file)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, env=os.environ) as recorder:
         spin_until([observer], lambda: observer.heard_by('/a/submap'), 'it listens')
         spin_for([observer], 0.5)
         recorder.terminate()
         assert recorder.wait(20) == 0
-    assert list(read_raw(file, SUBMAP)) == [encode_submap(submaps[0])]
+    assert list(read_raw(file, SUBMAP)) == [encode_submap(drones[0])]
 
 
 def test_record_says_what_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,20 +5,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from ros_processes import observing, rclpy, spin_until
+from ros_processes import spin_until
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from mapmerge_ros.cli.processes import free_domain
 from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.io import encode_submap
 from mapmerge_ros.nodes.discovery import BURST
-from mapmerge_ros.nodes.fusion_node import FusionNode
 from mapmerge_ros.nodes.process import run_node
 from mapmerge_ros.submap import Source
 
@@ -26,17 +23,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / 'benchmarks'))
 
 from messages_184kb import next_revision, submap
 from node_throughput import Load, Stamped, run
-
-
-@pytest.fixture
-def nodes() -> Iterator[list[Any]]:
-    """A fusion node in this process that never merges by itself, and its observer."""
-    with observing(free_domain()) as observer:
-        parameters = [rclpy.Parameter('merge_period', value=3600.0)]
-        node = FusionNode(parameter_overrides=parameters)
-        yield [node, observer]
-        node.close()
-        node.destroy_node()
 
 
 def blas_threads() -> list[int]:

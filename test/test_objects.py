@@ -96,6 +96,22 @@ def test_an_object_that_moved_and_turned_is_recovered_within_its_own_claim():
     assert 3.0 < np.median(squares) < 9.0
 
 
+def test_every_member_of_an_object_has_its_own_displacement_and_covariance():
+    rng, squares, spread = np.random.default_rng(11), [], []
+    for _ in range(30):
+        merge, moved, (centre, turn, shift) = with_object(rng, 10.0, 0.05)
+        state = sensitivity(merge)
+        displacements, covariances = rigid_motion(state, merge.points, moved).of_members()
+        before = merge.points[merge.members.tracks[moved]] - centre
+        errors = displacements - (turn.apply(before) - before + shift)
+        squares.append(
+            np.einsum('mi,mi->m', errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
+        )
+        spread.append(np.ptp(np.trace(covariances, axis1=1, axis2=2)))
+    assert min(spread) > 0.0
+    assert 2.5 < np.mean(squares) < 3.6
+
+
 def test_a_turn_that_displaces_nothing_on_average_is_found():
     rng, found = np.random.default_rng(4), 0
     for _ in range(8):

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from catalogues import catalogue, within
+from catalogues import catalogue, tracks_by_id, within
 from submaps import random_submap
 
 from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.fusion import FusionConfig
-from mapmerge_ros.fusion.catalogues import tracks_by_id
 from mapmerge_ros.fusion.requests import Denial, landmark_budget, plan_requests
 from mapmerge_ros.io import encode_submap
 from mapmerge_ros.submap import Request, SubMap, catalogue_bytes, information_bytes

@@ -122,3 +122,37 @@ def test_bad_tracks_spoil_a_merge_unless_good_ones_are_chosen(fleets):
         chosen = matched(bundles, quality=QUALITY)
         assert spoilt > 2.0
         assert variance_factor(bundles, chosen) < 0.6 * spoilt
+
+
+def test_matched_points_are_those_that_others_have() -> None:
+    first, second = random_bundle(seed=1), random_bundle(seed=2)
+    third = replace(random_bundle(seed=3), point_ids=np.arange(30) + 10**6)
+    chosen = matched([first, second, third])
+    np.testing.assert_array_equal(chosen[0], np.sort(first.point_ids))
+    np.testing.assert_array_equal(chosen[0], chosen[1])
+    assert len(chosen[2]) == 0
+
+
+def test_capped_match_takes_what_most_bundles_have_and_never_one_alone() -> None:
+    first = random_bundle(seed=1)
+    second = replace(random_bundle(seed=2), point_ids=first.point_ids)
+    third_ids = first.point_ids.copy()
+    third_ids[:20] += 10**6
+    third = replace(random_bundle(seed=3), point_ids=third_ids)
+    chosen = matched([first, second, third], 12)
+    assert [len(ids) for ids in chosen] == [12, 12, 10]
+    assert set(first.point_ids[20:]) <= set(chosen[0])
+    counts = np.unique(np.concatenate(chosen), return_counts=True)[1]
+    assert (counts >= 2).all()
+
+
+def test_best_tracks_are_the_longest() -> None:
+    bundle = random_bundle(seed=4)
+    lengths = dict(
+        zip(bundle.point_ids.tolist(), np.bincount(bundle.observation_points), strict=True)
+    )
+    best = best_tracks(bundle, 10)
+    shortest = min(lengths[own] for own in best.tolist())
+    others = set(lengths) - set(best.tolist())
+    assert len(best) == 10
+    assert all(lengths[own] <= shortest for own in others)

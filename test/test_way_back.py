@@ -4,18 +4,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from ros_processes import FUSION, REMEDY, Observer, SubMapMessage, observing, spin_for, spin_until
+from ros_processes import (
+    FUSION,
+    PATIENCE_S,
+    REMEDY,
+    Observer,
+    SubMapMessage,
+    spin_for,
+    spin_until,
+)
 from scenes import random_bundle
 
 from mapmerge_ros.bundle import Bundle, MapName
-from mapmerge_ros.cli.processes import Children, free_domain
+from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.fusion.refine import Robot, refine
 from mapmerge_ros.geometry import Similarity, align
 from mapmerge_ros.io import NamedBundle, decode_bundle, decode_submap, encode_bundle
@@ -40,18 +46,6 @@ def bundle_of(robot: int, revision: int = 1) -> NamedBundle:
     name = MapName(f'd{robot}/0', f'd{robot}', revision, robot * S, id_space='site')
     stamps = tuple((10 * robot + k) * S for k in range(len(own.keyframe_ids)))
     return decode_bundle(encode_bundle(NamedBundle(name, own, stamps)))
-
-
-@pytest.fixture
-def children(tmp_path: Path) -> Iterator[Children]:
-    with Children(free_domain(), tmp_path / 'logs') as started:
-        yield started
-
-
-@pytest.fixture
-def observer(children: Children) -> Iterator[Observer]:
-    with observing(children.domain) as node:
-        yield node
 
 
 class Heard:
@@ -97,7 +91,7 @@ def test_paths_of_the_robots_are_those_of_the_full_bundle(
 ) -> None:
     heard, bundles = Heard(observer, ROBOTS), [bundle_of(k) for k in range(ROBOTS)]
     for k, named in enumerate(bundles):
-        values = {'robot_id': f'd{k}', 'relinearise_rounds': 8}
+        values = {'robot_id': f'd{k}', 'relinearise_rounds': 3}
         children.start(f'd{k}', COMPRESSOR, values, {'__ns': f'/d{k}'})
         heard.senders[f'd{k}'].publish(encode_bundle(named))
     children.start('fusion', FUSION, {'merge_period': 0.3, 'request_landmarks': 20})
@@ -125,7 +119,7 @@ def test_paths_of_the_robots_are_those_of_the_full_bundle(
         assert stamps == list(named.keyframe_stamps_ns)
         assert heard.clouds[f'd{k}'].width == len(named.bundle.point_ids)
     assert children.ended() == ''
-    assert set(children.stop().values()) == {0}
+    assert set(children.stop(PATIENCE_S).values()) == {0}
 
 
 def joint(heard: Heard, bundles: list[NamedBundle]) -> dict[str, Any]:

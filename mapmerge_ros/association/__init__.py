@@ -9,7 +9,7 @@ from mapmerge_ros.association.config import AssociationConfig
 from mapmerge_ros.association.memory import Memory
 from mapmerge_ros.association.nearest import Candidates, nearest
 from mapmerge_ros.association.pair import Decision, Evidence, PairMatch
-from mapmerge_ros.association.screening import likeness, screen, worth_matching
+from mapmerge_ros.association.screening import likeness, screen
 from mapmerge_ros.association.signature import Signature, signature
 
 __all__ = [
@@ -28,5 +28,4 @@ __all__ = [
     'number_by_id',
     'screen',
     'signature',
-    'worth_matching',
 ]

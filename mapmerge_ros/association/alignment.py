@@ -13,7 +13,7 @@ from mapmerge_ros.association.config import AssociationConfig
 from mapmerge_ros.association.contrario import Background, Significance, significance
 from mapmerge_ros.association.samples import sampled_models
 from mapmerge_ros.errors import DegenerateGeometry
-from mapmerge_ros.geometry import Gauge, Similarity, align
+from mapmerge_ros.geometry import Gauge, Similarity, align, scene_radius
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +54,7 @@ class Aligned:
 
     @property
     def inliers(self) -> Mask:
-        """(n,)"""
+        """Whether each is within the tolerance (n,)."""
         return self.distances <= self.tolerance
 
 
@@ -62,7 +62,7 @@ def align_candidates(matched: Matched, gauge: Gauge, config: AssociationConfig) 
     """Most significant alignment of the candidates, best first; None when there is none."""
     if len(matched) < config.min_candidates:
         return None
-    limit = config.max_tolerance_ratio * _radius(matched.points_a)
+    limit = config.max_tolerance_ratio * scene_radius(matched.points_a)
     sparse = matched[_spread_rows(len(matched), config.max_scored)]
     models = sampled_models(sparse.points_a, sparse.points_b, gauge, config)
     if not len(models) or limit == 0.0:
@@ -153,7 +153,3 @@ def _spread_rows(count: int, most: int) -> Ints:
     """At most `most` rows, spread evenly over the ranking."""
     rows: Ints = np.arange(count)
     return rows if count <= most else (np.arange(most) * count) // most
-
-
-def _radius(points: Floats) -> float:
-    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))

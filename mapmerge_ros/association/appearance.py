@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmerge_ros.arrays import Bytes, Floats, Ints, Mask
+from mapmerge_ros.arrays import Bytes, Floats, Ints
 from mapmerge_ros.submap import Descriptors, DescriptorType
 
 BLOCK = 4096
@@ -22,11 +22,6 @@ def comparable(a: Descriptors, b: Descriptors) -> bool:
     return a.type is b.type and a.size == b.size and a.type is not DescriptorType.NONE
 
 
-def described(descriptors: Descriptors) -> Mask:
-    """Which landmarks (n,) have a descriptor: all zeros mean none."""
-    return np.asarray(descriptors.rows.any(axis=1))
-
-
 def distances(a: Descriptors, b: Descriptors, of_a: Ints, of_b: Ints) -> Floats:
     """Distance (n,) of pairs of descriptors: bits that differ, or Euclidean; nan without one."""
     if not comparable(a, b):
@@ -36,7 +31,7 @@ def distances(a: Descriptors, b: Descriptors, of_a: Ints, of_b: Ints) -> Floats:
     for start in range(0, len(found), BLOCK):
         block = slice(start, start + BLOCK)
         found[block] = measure(a.rows[of_a[block]], b.rows[of_b[block]])
-    found[~(described(a)[of_a] & described(b)[of_b])] = np.nan
+    found[~(a.known[of_a] & b.known[of_b])] = np.nan
     return found
 
 

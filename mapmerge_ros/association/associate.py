@@ -18,7 +18,7 @@ from mapmerge_ros.association.landmarks import Landmarks
 from mapmerge_ros.association.memory import Memory, Named
 from mapmerge_ros.association.network import Network, close_loops
 from mapmerge_ros.association.pair import Decision, PairMatch
-from mapmerge_ros.association.screening import worth_matching
+from mapmerge_ros.association.screening import screen
 from mapmerge_ros.association.second_look import Links, second_look
 from mapmerge_ros.association.support import supported
 from mapmerge_ros.geometry import Similarity
@@ -79,12 +79,15 @@ def _associate(
 ) -> Correspondences:
     """Sub-maps by map_id: alignments and searches are in the frame of the first of a pair."""
     known, count = number_by_id(maps, [submap.landmark_ids for submap in maps])
-    named = [Named(submap) for submap in maps]
     memory.turn()
-    pairs = _pairs(named, memory, config) if by_descriptors else []
+    described = _described(maps) if by_descriptors else []
+    if not described:
+        return Correspondences(known, count, {})
+    named = [Named(submap) for submap in maps]
+    pairs = _pairs(named, described, memory, config)
     matches = {(a, b): memory.match(named[a], named[b], config) for a, b in pairs}
     network = close_loops(tuple(maps), matches)
-    marks = [Landmarks.of(submap) for submap in maps]
+    marks = [Landmarks.of(one.submap, one.order) for one in named]
     looked = {
         pair: _looked_again(marks, named, pair, match, memory)
         for pair, match in network.matches.items()
@@ -104,21 +107,23 @@ def _associate(
     )
 
 
+def _described(maps: Sequence[SubMap]) -> list[int]:
+    """Sub-maps with descriptors, unless ids say all that there is to say of them."""
+    found = [k for k, own in enumerate(maps) if own.descriptors.type is not DescriptorType.NONE]
+    spaces = [maps[k].id_space for k in found]
+    return found if len(found) > 1 and (len(set(spaces)) > 1 or '' in spaces) else []
+
+
 def _pairs(
-    named: Sequence[Named], memory: Memory, config: AssociationConfig
+    named: Sequence[Named], described: Sequence[int], memory: Memory, config: AssociationConfig
 ) -> list[tuple[int, int]]:
     """Pairs worth matching: descriptors to compare, and no ids that say it all."""
-    described = [
-        k for k, one in enumerate(named) if one.submap.descriptors.type is not DescriptorType.NONE
-    ]
-    if len(described) > config.screen_above:
-        signatures = [memory.signature(named[k], config) for k in described]
-        pairs = worth_matching(signatures, config)
-    else:
-        pairs = tuple(combinations(range(len(described)), 2))
-    spaces = [named[k].submap.id_space for k in described]
+    maps = [named[k].submap for k in described]
+    pairs = screen(maps, config, lambda i: memory.signature(named[described[i]], config))
     return [
-        (described[i], described[j]) for i, j in pairs if not spaces[i] or spaces[i] != spaces[j]
+        (described[i], described[j])
+        for i, j in pairs
+        if not maps[i].id_space or maps[i].id_space != maps[j].id_space
     ]
 
 

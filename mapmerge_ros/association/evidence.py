@@ -39,7 +39,10 @@ def gather(
 def decide(evidence: Evidence, config: AssociationConfig) -> tuple[Decision, str]:
     """JOINED only when everything speaks for it; what is missing, in words."""
     if evidence.inliers == 0:
-        return Decision.APART, f'no alignment explains the {evidence.candidates} candidates'
+        return (
+            Decision.APART,
+            f'no alignment explains what looks alike (candidates: {evidence.candidates})',
+        )
     if evidence.log_nfa > config.max_log_nfa_undecided:
         return Decision.APART, (
             f'{evidence.inliers} of {evidence.candidates} candidates agree, as by chance '
@@ -70,8 +73,8 @@ def _doubts(evidence: Evidence, config: AssociationConfig) -> list[str]:
         ),
         (
             e.clear_ratio <= c.max_clear_ratio,
-            f'repeated structure: even the clearest descriptors are at {e.clear_ratio:.2f} '
-            f'of the second best, above {c.max_clear_ratio:g}',
+            'repeated structure, or noisy descriptors: even the clearest are at '
+            f'{e.clear_ratio:.2f} of the second best, above {c.max_clear_ratio:g}',
         ),
         (
             e.peculiar_score >= c.min_peculiar_score,

@@ -23,17 +23,14 @@ class Landmarks:
     """(n, 3, 3) triangulation covariance [map units²]; zeros where unknown"""
     descriptors: Descriptors
     gauge: Gauge
-    rows: Ints
-    """(n,) row of each in the message"""
 
     @classmethod
-    def of(cls, submap: SubMap) -> Landmarks:
-        """Landmarks of a sub-map, compressed or not."""
-        rows = np.argsort(submap.landmark_ids)
+    def of(cls, submap: SubMap, rows: Ints) -> Landmarks:
+        """Landmarks of a sub-map, compressed or not, in the given order of its rows."""
         covariances: Floats = np.zeros((len(rows), 3, 3))
         if submap.covariances is not None:
             covariances = symmetric_from_upper(submap.covariances[rows])
-        return cls(submap.points[rows], covariances, submap.descriptors[rows], submap.gauge, rows)
+        return cls(submap.points[rows], covariances, submap.descriptors[rows], submap.gauge)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -46,5 +43,4 @@ class Landmarks:
             linear @ self.covariances @ linear.T,
             self.descriptors,
             self.gauge,
-            self.rows,
         )

@@ -7,6 +7,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -19,6 +20,26 @@ from mapmerge_ros.association.signature import Signature, signature
 from mapmerge_ros.submap import SubMap
 
 Key = tuple[bytes, bytes]
+K = TypeVar('K')
+V = TypeVar('V')
+
+
+class Generations(Generic[K, V]):
+    """Values by key; those that a generation did not use are forgotten with the next."""
+
+    def __init__(self) -> None:
+        self._before: dict[K, V] = {}
+        self._now: dict[K, V] = {}
+
+    def turn(self) -> None:
+        """Begin a generation."""
+        self._before, self._now = self._now, {}
+
+    def get(self, key: K, make: Callable[[], V]) -> V:
+        """Return what is kept, or what is made now."""
+        found = self._before.get(key)
+        self._now[key] = found if found is not None else make()
+        return self._now[key]
 
 
 class Memory:
@@ -30,43 +51,32 @@ class Memory:
     """
 
     def __init__(self) -> None:
-        self._kept: dict[Key, PairMatch] = {}
-        self._used: dict[Key, PairMatch] = {}
-        self._kept_signatures: dict[bytes, Signature] = {}
-        self._used_signatures: dict[bytes, Signature] = {}
-        self._kept_links: dict[Key, Links] = {}
-        self._used_links: dict[Key, Links] = {}
+        self._matches = Generations[Key, PairMatch]()
+        self._links = Generations[Key, Links]()
+        self._signatures = Generations[bytes, Signature]()
 
     def turn(self) -> None:
         """Begin an association: forget what the one before did not use."""
-        self._kept, self._used = self._used, {}
-        self._kept_links, self._used_links = self._used_links, {}
-        self._kept_signatures, self._used_signatures = self._used_signatures, {}
+        for kept in (self._matches, self._links, self._signatures):
+            kept.turn()
 
     def signature(self, a: Named, config: AssociationConfig) -> Signature:
         """Return what screening knows of a map, from memory if there."""
-        found = self._kept_signatures.get(a.key)
-        self._used_signatures[a.key] = (
-            found if found is not None else signature(a.submap.descriptors[a.order], config)
+        return self._signatures.get(
+            a.key, lambda: signature(a.submap.descriptors[a.order], config)
         )
-        return self._used_signatures[a.key]
 
     def match(self, a: Named, b: Named, config: AssociationConfig) -> PairMatch:
         """Return `match_pair`, from memory if there."""
-        key = a.key, b.key
-        found = self._kept.get(key)
-        if found is None:
-            by_rows = match_pair(a.submap, b.submap, config)
-            found = _exchanged_rows(by_rows, a.ranks, b.ranks)
-        self._used[key] = found
-        return _exchanged_rows(found, a.order, b.order)
+
+        def by_rank() -> PairMatch:
+            return _exchanged_rows(match_pair(a.submap, b.submap, config), a.ranks, b.ranks)
+
+        return _exchanged_rows(self._matches.get((a.key, b.key), by_rank), a.order, b.order)
 
     def links(self, a: Named, b: Named, look: Callable[[], Links]) -> Links:
         """Return the second look at a pair, from memory if there."""
-        key = a.key, b.key
-        found = self._kept_links.get(key)
-        self._used_links[key] = found if found is not None else look()
-        return self._used_links[key]
+        return self._links.get((a.key, b.key), look)
 
 
 class Named:

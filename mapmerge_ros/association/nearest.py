@@ -56,7 +56,7 @@ def nearest(a: Descriptors, b: Descriptors, config: AssociationConfig) -> Candid
         return _nothing(f'descriptors of different kinds: {_kind(a)} and {_kind(b)}')
     if a.type is DescriptorType.NONE:
         return _nothing('no descriptors')
-    known_a, known_b = known(a), known(b)
+    known_a, known_b = np.flatnonzero(a.known), np.flatnonzero(b.known)
     if min(len(known_a), len(known_b)) < 2:
         return _nothing('fewer than two landmarks with a descriptor')
     embed = EMBEDDINGS[a.type]
@@ -66,11 +66,6 @@ def nearest(a: Descriptors, b: Descriptors, config: AssociationConfig) -> Candid
     rows_a, rows_b = known_a[rows], known_b[best.partners[rows]]
     order = np.lexsort((rows_a, ratios))
     return Candidates(rows_a[order], rows_b[order], ratios[order])
-
-
-def known(descriptors: Descriptors) -> Ints:
-    """Rows that have a descriptor."""
-    return np.flatnonzero(descriptors.rows.any(axis=1))
 
 
 def _nothing(reason: str) -> Candidates:

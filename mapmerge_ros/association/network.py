@@ -9,12 +9,10 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-import scipy.sparse
-import scipy.sparse.csgraph
 
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.association.pair import Decision, PairMatch
-from mapmerge_ros.geometry import Similarity
+from mapmerge_ros.geometry import FrameGraph, Similarity
 from mapmerge_ros.submap import SubMap
 
 Matches = Mapping[tuple[int, int], PairMatch]
@@ -126,22 +124,8 @@ def _frames(
     count: int, joined: Matches
 ) -> tuple[tuple[tuple[int, ...], ...], tuple[Similarity, ...]]:
     """Components and frames along the paths of best support."""
-    ends = [a for a, _ in joined], [b for _, b in joined]
-    lengths = [1.0 / _support(match) for match in joined.values()]
-    graph = scipy.sparse.csr_array((lengths, ends), shape=(count, count))
-    number, labels = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    groups = tuple(tuple(map(int, np.flatnonzero(labels == k))) for k in range(number))
-    frames = [Similarity.identity()] * count
-    for group in groups:
-        distances, before = scipy.sparse.csgraph.dijkstra(
-            graph, directed=False, indices=[group[0]], return_predecessors=True
-        )
-        for k in sorted(group[1:], key=lambda k: (distances[0, k], k)):
-            frames[k] = frames[int(before[0, k])] @ _between(joined, int(before[0, k]), k)
-    return groups, tuple(frames)
-
-
-def _between(joined: Matches, a: int, b: int) -> Similarity:
-    S = joined[min(a, b), max(a, b)].S_a_b
-    assert S is not None
-    return S if a < b else S.inverse()
+    known = {pair: x.S_a_b for pair, x in joined.items() if x.S_a_b is not None}
+    graph = FrameGraph(count, known, [1.0 / _support(joined[pair]) for pair in known])
+    groups = graph.components()
+    frames = {k: S for group in groups for k, S in graph.frames_from(group[0]).items()}
+    return groups, tuple(frames[k] for k in range(count))

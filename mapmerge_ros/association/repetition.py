@@ -40,8 +40,7 @@ def peculiar_score(
     """
     matched = np.zeros(len(points), bool)
     matched[matched_rows] = True
-    known = descriptors.rows.any(axis=1)
-    rows = np.flatnonzero(within(points, matched, config.overlap_radius) & known)
+    rows = np.flatnonzero(within(points, matched, config.overlap_radius) & descriptors.known)
     rows = np.random.default_rng(config.seed).permutation(rows)[: config.max_peculiar]
     hits = matched[rows]
     found, missed = int(hits.sum()), int((~hits).sum())

@@ -13,7 +13,7 @@ import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.association.config import AssociationConfig
-from mapmerge_ros.geometry import Gauge, Similarity
+from mapmerge_ros.geometry import Gauge, Similarity, scene_radius
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,8 +154,7 @@ def _plausible_pairs(
 
 def _extent(points: Floats) -> float:
     """Typical distance of the points from their middle."""
-    typical = float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
-    return max(typical, np.finfo(float).tiny)
+    return max(scene_radius(points), np.finfo(float).tiny)
 
 
 def _fit(a: Floats, b: Floats, gauge: Gauge) -> Models:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -18,22 +18,22 @@ VERIFIED_AT_ONCE = 1 << 18
 """Meetings whose codes are compared in one piece: bounds the memory."""
 
 
-def screen(submaps: Sequence[SubMap], config: AssociationConfig) -> tuple[tuple[int, int], ...]:
+def screen(
+    submaps: Sequence[SubMap],
+    config: AssociationConfig,
+    signature_of: Callable[[int], Signature] | None = None,
+) -> tuple[tuple[int, int], ...]:
     """
     Pairs (i, j), i < j, that may show the same place.
 
     Few maps: all pairs. Otherwise those with enough landmarks that look alike, and for every map
     its best partners, so that no map is left alone. The order of the maps changes nothing.
+    `signature_of` a map, by index, is for who keeps them.
     """
     if len(submaps) <= config.screen_above:
         return tuple(combinations(range(len(submaps)), 2))
-    return worth_matching([signature(own.descriptors, config) for own in submaps], config)
-
-
-def worth_matching(
-    signatures: Sequence[Signature], config: AssociationConfig
-) -> tuple[tuple[int, int], ...]:
-    """Return the same from signatures, which a caller may keep."""
+    make = signature_of or (lambda k: signature(submaps[k].descriptors, config))
+    signatures = [make(k) for k in range(len(submaps))]
     scores = likeness(signatures, config)
     sizes = np.array([len(own) for own in signatures])
     smaller = np.minimum(sizes[:, None], sizes)

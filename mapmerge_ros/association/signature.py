@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 from mapmerge_ros.arrays import Bytes, Floats, Ints
 from mapmerge_ros.association.config import AssociationConfig
-from mapmerge_ros.association.nearest import known
 from mapmerge_ros.submap import Descriptors, DescriptorType
 
 SIFT_CODE_BITS = 256
@@ -40,7 +39,7 @@ class Signature:
 
 def signature(descriptors: Descriptors, config: AssociationConfig) -> Signature:
     """Codes and keys of the landmarks that have a descriptor."""
-    rows = descriptors.rows[known(descriptors)]
+    rows = descriptors.rows[descriptors.known]
     codes = _sift_codes(rows) if descriptors.type is DescriptorType.SIFT else rows
     if codes.shape[1] % 2:
         codes = np.pad(codes, ((0, 0), (0, 1)))

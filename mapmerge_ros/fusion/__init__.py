@@ -17,6 +17,7 @@ from mapmerge_ros.fusion.outcome import (
     Timing,
     Verdict,
 )
+from mapmerge_ros.fusion.warm import Warm
 
 __all__ = [
     'Change',
@@ -34,5 +35,6 @@ __all__ = [
     'State',
     'Timing',
     'Verdict',
+    'Warm',
     'fuse',
 ]

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmerge_ros.arrays import Ids, Ints
-from mapmerge_ros.association import number_by_id
 from mapmerge_ros.submap import SubMap
 
 ALONE = -1
@@ -37,8 +36,3 @@ class Tracks:
             ),
             self.count,
         )
-
-
-def tracks_by_id(submaps: Sequence[SubMap]) -> Tracks:
-    """Landmarks of equal id in the same non-empty id space are one track."""
-    return Tracks(*number_by_id(submaps, [submap.landmark_ids for submap in submaps]))

@@ -9,19 +9,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mapmerge_ros.arrays import Floats
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.associate import Association
-from mapmerge_ros.fusion.changes import Change, Off, describe, find_off, unlocked
+from mapmerge_ros.fusion.changes import Change, Off, describe
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.honest import Examination
 from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.fusion.outcome import Verdict
 from mapmerge_ros.fusion.outgoing import Merged, compress_component
 from mapmerge_ros.fusion.overlap import Link, components
-from mapmerge_ros.fusion.quadratic import members_of
 from mapmerge_ros.fusion.solution import Anchor, Solution, solve
 from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.fusion.unlock import Examined, find_doubtful, find_off, too_much, unlocked
 from mapmerge_ros.fusion.verify import Noise, pool_noise, verify_merge
+from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import SubMap
 
@@ -37,6 +39,7 @@ def merge_component(
     config: FusionConfig,
     revision: int,
     stopwatch: Stopwatch,
+    warm: Warm,
 ) -> Merged:
     """
     Merge sub-maps that hang together (indices of `links` refer to them).
@@ -57,6 +60,7 @@ def merge_component(
         anchor or choose_anchor(submaps, min(submap.gauge for submap in submaps)),
         config,
         stopwatch,
+        warm,
     )
     state = first = task.attempt(association, ())
     for _ in range(MAX_ROUNDS - 1 if config.unlock else 0):
@@ -81,7 +85,8 @@ def merge_component(
         examination=first.examination,
         changes=state.changes(submaps, merged.component.names),
     )
-    return replace(merged, component=component)
+    ratios = np.zeros(0) if state.verdict.accepted else _cost_ratios(state.solution)
+    return replace(merged, component=component, cost_ratios=ratios)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,13 +97,13 @@ class _State:
     solution: Solution
     verdict: Verdict
     examination: Examination | None
-    taken_out: tuple[tuple[Off, Association, Solution], ...]
+    taken_out: tuple[Off, ...]
 
     def told(self) -> Verdict:
         """Verdict on what is merged, with the number of landmarks that are not."""
         if not self.taken_out:
             return self.verdict
-        objects = np.concatenate([off.objects for off, _, _ in self.taken_out])
+        objects = np.concatenate([off.objects for off in self.taken_out])
         moved, aside = int((objects > 0).sum()), int((objects == 0).sum())
         return replace(
             self.verdict,
@@ -106,21 +111,31 @@ class _State:
             set_aside=self.verdict.set_aside + aside,
         )
 
+    def examined(self) -> Examined | None:
+        """Return the examination with what relates it to the sub-maps."""
+        if self.examination is None:
+            return None
+        rows, S_global_estimate = self.solution.rows, self.solution.S_global_estimate
+        return Examined(self.examination, self.association, rows, S_global_estimate)
+
     def changes(self, submaps: Sequence[SubMap], names: Names) -> tuple[Change, ...]:
-        """Return what was taken out, where it is now."""
-        return tuple(
+        """Return what was taken out, where it is now, and what is doubtful of the rest."""
+        points = self.solution.state.points
+        found = [
             change
-            for off, before, solution in self.taken_out
-            for change in describe(
-                off,
-                before,
-                submaps,
-                solution.rows,
-                self.solution.state.points,
-                self.solution.S_global_estimate,
-                names,
-            )
-        )
+            for off in self.taken_out
+            for change in describe(off, submaps, points[off.own_tracks], names, merged=False)
+        ]
+        examined = self.examined()
+        doubtful = find_doubtful(examined) if examined and self.verdict.accepted else None
+        if doubtful is not None:
+            S_map_globals = self.solution.state.S_map_globals
+            positions = [
+                S_map_globals[k].inverse().apply(submaps[k].compressed_points[row])
+                for k, row in zip(doubtful.maps.tolist(), doubtful.rows.tolist(), strict=True)
+            ]
+            found += describe(doubtful, submaps, np.array(positions), names, merged=True)
+        return tuple(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,21 +148,19 @@ class _Task:
     anchor: Anchor
     config: FusionConfig
     stopwatch: Stopwatch
+    warm: Warm
 
-    def attempt(
-        self,
-        association: Association,
-        taken_out: tuple[tuple[Off, Association, Solution], ...],
-    ) -> _State:
+    def attempt(self, association: Association, taken_out: tuple[Off, ...]) -> _State:
         # A basin that was believed before is not looked for again.
         config = replace(self.config, max_starts=1) if taken_out else self.config
         with self.stopwatch.measure('merge'):
             solution = solve(
-                self.submaps, association, self.links, self.noise, self.anchor, config
+                self.submaps, association, self.links, self.noise, self.anchor, config, self.warm
             )
         with self.stopwatch.measure('test'):
             gauge = min(submap.gauge for submap in self.submaps)
             verdict, examination = verify_merge(
+                [submap.map_id for submap in self.submaps],
                 solution.reduced,
                 solution.estimate,
                 self.links,
@@ -160,27 +173,43 @@ class _Task:
 
     def without_what_is_off(self, state: _State) -> _State | None:
         """Merge again without it; None if nothing is, or too much for the rest to be believed."""
-        if state.examination is None:
+        examined, solution = state.examined(), state.solution
+        if examined is None:
             return None
-        members = members_of(state.solution.reduced.elements())
-        before = max((int(off.objects.max()) for off, _, _ in state.taken_out), default=0)
-        off = find_off(state.examination, members, self.submaps, before)
-        if not len(off) or not off.believable:
+        before = max((int(off.objects.max()) for off in state.taken_out), default=0)
+        off = find_off(examined, self.submaps, before)
+        if off is None:
             return None
-        association = unlocked(state.association, off, state.solution.rows)
+        if len(worst := too_much((*state.taken_out, off), solution.rows)):
+            return self._refused(state, self.submaps[int(worst[0])].map_id)
+        association = unlocked(state.association, off)
         if not self._connected(association):
             return None
         try:
-            return self.attempt(
-                association, (*state.taken_out, (off, state.association, state.solution))
-            )
+            return self.attempt(association, (*state.taken_out, off))
         except DegenerateGeometry:
             return None
+
+    def _refused(self, state: _State, suspect: str) -> _State:
+        """Believe nothing of what is merged: too much of one sub-map is off."""
+        reason = state.verdict.reason or f'more of {suspect} is off than can be left out'
+        verdict = replace(state.verdict, accepted=False, reason=reason, suspect=suspect)
+        return replace(state, verdict=verdict, examination=None)
 
     def _connected(self, association: Association) -> bool:
         counts = association.shared_counts()
         left = [link for link in self.links if counts[link.a, link.b] >= self.config.min_shared]
         return len(components(len(self.submaps), left)) == 1
+
+
+def _cost_ratios(solution: Solution) -> Floats:
+    """Cost (maps,) of each sub-map by coordinate, px²: who is pulled away from where it is."""
+    ratios = np.zeros(len(solution.reduced))
+    for k in range(len(ratios)):
+        element = solution.reduced.element(k)
+        residuals = element.residuals(element.place(solution.estimate.points))
+        ratios[k] = residuals @ residuals / max(len(residuals), 1)
+    return ratios
 
 
 def choose_anchor(submaps: Sequence[SubMap], gauge: Gauge) -> Anchor:

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints
-from mapmerge_ros.fusion.contrasts import SMOOTH_RADII, scene_radius
+from mapmerge_ros.fusion.contrasts import SMOOTH_RADII
 from mapmerge_ros.fusion.covariance_model import CovarianceModel
 from mapmerge_ros.fusion.local import Sensitivity
 from mapmerge_ros.fusion.objects import (
@@ -20,6 +20,7 @@ from mapmerge_ros.fusion.objects import (
     find_objects,
     grown,
 )
+from mapmerge_ros.geometry import scene_radius
 
 LEAST_CONFIRMED = 70.0
 """

@@ -21,6 +21,7 @@ from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.quadratic import Quadratic
+from mapmerge_ros.geometry import scene_radius
 
 SMOOTH_RADII = 0.7
 """Length of the smooth field, in scene radii: a lens that is wrong bends a map over its extent."""
@@ -121,7 +122,7 @@ class Contrasts:
             self.smooth[np.ix_(rows, rows)],
             np.linalg.qr(self.frames[at])[0],
             self.unit,
-            _pairs(helmert),
+            same_member_pairs(helmert),
         )
 
 
@@ -172,7 +173,7 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
         smooth=smooth,
         frames=left,
         unit=unit,
-        pairs=_pairs(helmert),
+        pairs=same_member_pairs(helmert),
     )
 
 
@@ -182,11 +183,6 @@ def _spread(tracks: Ints, at_most: int, always: Ints) -> Ints:
     left = max(at_most - int(np.isin(tracks, always).sum()), at_most // 4)
     every = max(1, -(-int(np.isin(tracks, others).sum()) // left))
     return np.flatnonzero(np.isin(tracks, np.union1d(others[::every], always)))
-
-
-def scene_radius(points: Floats) -> float:
-    """Median distance of the landmarks from their median."""
-    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
 
 
 def matern(points: Floats, length: float) -> Floats:
@@ -226,7 +222,8 @@ def _helmert(tracks: Ints, views: Ints) -> tuple[scipy.sparse.csr_array, Ints]:
     return matrix, tracks[order][later]
 
 
-def _pairs(helmert: scipy.sparse.csr_array) -> tuple[Ints, Ints, Ints, Floats]:
+def same_member_pairs(helmert: scipy.sparse.csr_array) -> tuple[Ints, Ints, Ints, Floats]:
+    """`Contrasts.pairs` of some contrasts."""
     by_member = helmert.tocsc()
     counts = np.diff(by_member.indptr)
     firsts = np.repeat(np.arange(by_member.nnz), np.repeat(counts, counts))

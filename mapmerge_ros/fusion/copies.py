@@ -9,7 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from mapmerge_ros.association import Correspondences, Decision, PairMatch
-from mapmerge_ros.fusion.outcome import Refusal
+from mapmerge_ros.fusion.refusal import Refusal
+from mapmerge_ros.geometry import scene_radius
 from mapmerge_ros.submap import SubMap
 
 MAX_RELATIVE_GAP = 1e-5
@@ -49,5 +50,4 @@ def _is_copy(a: SubMap, b: SubMap, match: PairMatch) -> bool:
         return False
     points_a, points_b = a.points[match.rows_a], b.points[match.rows_b]
     gap = np.median(np.linalg.norm(points_a - match.S_a_b.apply(points_b), axis=1))
-    extent = np.median(np.linalg.norm(points_a - np.median(points_a, axis=0), axis=1))
-    return bool(gap <= MAX_RELATIVE_GAP * extent)
+    return bool(gap <= MAX_RELATIVE_GAP * scene_radius(points_a))

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from mapmerge_ros.association import Correspondences, Memory, associate
+from mapmerge_ros.association import Correspondences, associate
 from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.fusion.accumulate import Receipt, Store, without_duplicates
 from mapmerge_ros.fusion.asking import Asking
@@ -22,18 +22,14 @@ from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.copies import without_copies
 from mapmerge_ros.fusion.groups import Problem, merge_groups
 from mapmerge_ros.fusion.links import find_links
-from mapmerge_ros.fusion.outcome import (
-    Contradiction,
-    Fusion,
-    Match,
-    Pair,
-    Timing,
-)
+from mapmerge_ros.fusion.outcome import Contradiction, Fusion, Match, Pair, Timing
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.requests import Denial, plan_requests
 from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.fusion.states import aligned, left_out
 from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.fusion.warm import Warm
+from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import Request, SubMap
 
 
@@ -46,34 +42,37 @@ class Snapshot:
     revision: int = 1
     denied: Mapping[str, Denial] = field(default_factory=dict)
     """By map_id, how far its robot could not do what it was asked for"""
+    frames: Mapping[str, Similarity] = field(default_factory=dict)
+    """By map_id, S_global_map in the last fusion: who holds the frame if the anchor goes"""
 
 
 def fuse(
     submaps: Iterable[SubMap] | Snapshot,
     config: FusionConfig | None = None,
-    memory: Memory | None = None,
+    warm: Warm | None = None,
 ) -> Fusion:
     """
     Merge sub-maps into one map per connected component, and test each.
 
-    `memory` keeps what was found about pairs of sub-maps for the next time.
+    `warm` keeps what was found about pairs of sub-maps, and where the merge ended, for the next
+    time. With it the result is the same but for what the merge leaves of its last step.
 
     The result does not depend on the order of the sub-maps, nor on any of their frames and
     scales (the frame of the result is that of the oldest sub-map of the smallest gauge).
     """
     config = config or FusionConfig()
     snapshot = submaps if isinstance(submaps, Snapshot) else Snapshot(tuple(submaps))
-    stopwatch = Stopwatch()
+    stopwatch, warm = Stopwatch(), Warm() if warm is None else warm
     with stopwatch.measure('associate'):
         known, refusals = without_duplicates(snapshot.submaps)
-        found = associate(known, memory=memory, by_descriptors=config.match_descriptors)
+        found = associate(known, memory=warm, by_descriptors=config.match_descriptors)
         kept, copies = without_copies(known, found)
         found = found.restricted([known.index(submap) for submap in kept])
         usable = tuple(submap for submap in kept if submap.compressed_count)
         association = of_compressed(
             usable, [found.tracks[k] for k, own in enumerate(kept) if own.compressed_count]
         )
-        links = find_links(usable, association, config)
+        links = find_links(usable, association, config, warm)
         named = _named_contradictions(usable, association, links)
         association = split_contradictions(
             association, [(link.a, link.b, link.contradicting) for link in links]
@@ -84,9 +83,11 @@ def fuse(
             association,
             links,
             snapshot.anchor,
+            snapshot.frames,
             config,
             snapshot.revision,
             stopwatch,
+            warm,
         )
     )
     matches = _matches(kept, found)
@@ -118,8 +119,9 @@ class FusionEngine:
         self.config = config or FusionConfig()
         self._store = Store(self.config.map_id)
         self.asking = Asking(self.config)
-        self.memory = Memory()
+        self.memory = Warm()
         self._anchor: Anchor | None = None
+        self._frames: Mapping[str, Similarity] = {}
         self._revision = revision
         self.changed = False
         """Whether anything has come or gone since the last snapshot"""
@@ -145,7 +147,7 @@ class FusionEngine:
     def reset(self) -> None:
         """Forget everything but the revision, which must go on rising."""
         self.remove([submap.map_id for submap in self._store.snapshot()])
-        self._anchor = None
+        self._anchor, self._frames = None, {}
 
     def reconfigure(self, config: FusionConfig) -> None:
         """
@@ -165,7 +167,8 @@ class FusionEngine:
 
     def state(self) -> Snapshot:
         """Everything that an engine needs to go on from here; changes nothing."""
-        return Snapshot(self._store.snapshot(), self._anchor, self._revision, self.asking.denied)
+        held = self._store.snapshot()
+        return Snapshot(held, self._anchor, self._revision, self.asking.denied, self._frames)
 
     def restore(self, state: Snapshot) -> tuple[Receipt, ...]:
         """
@@ -197,6 +200,8 @@ class FusionEngine:
         for item in fusion.alignments:
             if fusion.components and item.submap.map_id == fusion.components[0].anchor:
                 self._anchor = Anchor(item.submap.map_id, item.S_global_map)
+        merged = [item for item in fusion.alignments if item.component == 0]
+        self._frames = {item.submap.map_id: item.S_global_map for item in merged}
 
     def fuse(self) -> Fusion:
         """Fuse what is there, in this thread."""

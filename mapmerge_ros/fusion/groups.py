@@ -1,10 +1,10 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Connected sub-maps merged group by group; one that breaks the merge is left out, alone."""
+"""Connected sub-maps merged group by group, without those that break a merge or contradict it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,11 +13,16 @@ from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.component import merge_component
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.outcome import Refusal
+from mapmerge_ros.fusion.contradiction import refusals
 from mapmerge_ros.fusion.outgoing import Merged
 from mapmerge_ros.fusion.overlap import Link, components
+from mapmerge_ros.fusion.quarantine import Group, Parts, Search
+from mapmerge_ros.fusion.refusal import Refusal
+from mapmerge_ros.fusion.search import is_certain
 from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.fusion.warm import Warm
+from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import SubMap
 
 FAILURES = (MapMergeError, np.linalg.LinAlgError, ArithmeticError)
@@ -25,8 +30,6 @@ FAILURES = (MapMergeError, np.linalg.LinAlgError, ArithmeticError)
 What numbers can do to a merge although each message keeps its contract: R of rank zero, points
 that are all one, sizes that overflow.
 """
-
-Group = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,9 +40,12 @@ class Problem:
     association: Association
     links: tuple[Link, ...]
     anchor: Anchor | None
+    frames: Mapping[str, Similarity]
+    """By map_id, S_global_map where that is known"""
     config: FusionConfig
     revision: int
     stopwatch: Stopwatch
+    warm: Warm
 
 
 def merge_groups(problem: Problem) -> tuple[list[tuple[Group, Merged]], list[Refusal]]:
@@ -48,8 +54,11 @@ def merge_groups(problem: Problem) -> tuple[list[tuple[Group, Merged]], list[Ref
     refused: list[Refusal] = []
     for group in components(len(problem.submaps), problem.links):
         parts, without = _merge_or_isolate(group, problem)
-        merged += parts
         refused += without
+        for part, whole in parts:
+            believed, contradicting = _without_wrong_maps(part, whole, problem)
+            merged += believed
+            refused += contradicting
     merged.sort(key=lambda part: (-len(part[0]), part[0]))
     return merged, refused
 
@@ -75,6 +84,33 @@ def _merge_or_isolate(
     return [], [Refusal(problem.submaps[k].map_id, failure) for k in group]
 
 
+def _without_wrong_maps(
+    group: Group, whole: Merged, problem: Problem
+) -> tuple[Parts, list[Refusal]]:
+    """
+    Leave out what is wrong as a whole, where that is certain.
+
+    Two sub-maps that disagree stay refused together, nobody can tell which is wrong. So does a
+    merge whose geometry may be in a wrong basin.
+    """
+    if whole.component.verdict.accepted or len(group) < 3 or not problem.config.unlock:
+        return [(group, whole)], []
+
+    def merge_without(culprits: Group) -> Parts:
+        try:
+            return [(part, _merge(part, problem)) for part in _without(group, culprits, problem)]
+        except FAILURES:
+            return []
+
+    def certain(part: Group) -> bool:
+        return is_certain(_within(part, problem.links), len(part))
+
+    trial = Search(group, whole, merge_without, certain).culprits()
+    if trial is None:
+        return [(group, whole)], []
+    return trial.parts, refusals(trial, problem.submaps, problem.association)
+
+
 def _strangest_first(group: Group, problem: Problem) -> list[int]:
     """Sub-maps whose R is of another order of magnitude than that of the others come first."""
     sizes = {k: np.log10(np.abs(problem.submaps[k].packed_r).max()) for k in group}
@@ -96,10 +132,11 @@ def _merge(group: Group, problem: Problem) -> Merged:
         members,
         problem.association.restricted(group),
         _within(group, problem.links),
-        _still(problem.anchor, members),
+        _still(problem, members),
         problem.config,
         problem.revision,
         problem.stopwatch,
+        problem.warm,
     )
 
 
@@ -120,13 +157,21 @@ def _within(group: Sequence[int], links: Sequence[Link]) -> tuple[Link, ...]:
     )
 
 
-def _still(anchor: Anchor | None, members: Sequence[SubMap]) -> Anchor | None:
-    """Return the previous anchor if this group has it and nothing knows the frame better."""
-    smallest = min(submap.gauge for submap in members)
-    for submap in members:
-        if anchor and submap.map_id == anchor.map_id and submap.gauge == smallest:
-            return anchor
-    return None
+def _still(problem: Problem, members: Sequence[SubMap]) -> Anchor | None:
+    """
+    Return the previous anchor if this group has it and nothing knows the frame better.
+
+    Where the anchor has gone, or into quarantine, the oldest that was there with it holds still.
+    """
+    smallest, anchor = min(submap.gauge for submap in members), problem.anchor
+    frames = dict(problem.frames) | ({anchor.map_id: anchor.S_global_map} if anchor else {})
+    known = [x for x in members if x.gauge == smallest and x.map_id in frames]
+    if not known:
+        return None
+    if anchor and anchor.map_id in {submap.map_id for submap in known}:
+        return anchor
+    oldest = min(known, key=lambda submap: (submap.stamp_ns, submap.map_id))
+    return Anchor(oldest.map_id, frames[oldest.map_id])
 
 
 def _in_words(err: Exception) -> str:

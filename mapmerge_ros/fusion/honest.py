@@ -18,7 +18,7 @@ from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.conditional import conditional_tests
 from mapmerge_ros.fusion.confirm import confirmed, members_of, p_objects
-from mapmerge_ros.fusion.contrasts import NOBODY, Contrasts, contrasts, scene_radius
+from mapmerge_ros.fusion.contrasts import NOBODY, Contrasts, contrasts
 from mapmerge_ros.fusion.covariance_model import (
     LARGEST_TAIL,
     TEXTBOOK,
@@ -35,7 +35,9 @@ from mapmerge_ros.fusion.objects import (
     MovedObject,
     find_objects,
 )
+from mapmerge_ros.fusion.plausible import largest_variances
 from mapmerge_ros.fusion.quadratic import Quadratic
+from mapmerge_ros.fusion.scales import ScaleTest, wrong_scale
 from mapmerge_ros.fusion.tails import GAUSSIAN, are_gaussian
 
 MIN_CONTRASTS, MAX_CONTRASTS = 50, 600
@@ -50,14 +52,6 @@ MIN_GAIN = 8.0
 Log-likelihood that a model must bring to be preferred to the textbook.
 
 Twice that is χ²(3) where noise is Gaussian: p = 0.001. Real sets have 27 to 4000.
-"""
-
-MAX_PHI, MAX_TAU_UNITS, MAX_OMEGA_RADII = 2.5, 1.0, 5e-3
-"""
-What is believed of an honest map: three times what EuRoC and Caliterra show, no more.
-
-φ is 0.9 there; ω is 1.6e-3 of the scene radius. τ may be as large as a typical difference.
-A merge that needs more is refused, whatever would explain it.
 """
 
 BAD_LEVEL, BAD_SHARE = 1e-3, 0.01
@@ -117,6 +111,8 @@ class Examination:
 
     Nobody where the geometry is not certain, or in a very large merge.
     """
+    wrong_scale: ScaleTest | None = None
+    """Metric sub-map that is larger or smaller than the others have it"""
 
 
 def examine(merge: Quadratic, redundancy: float, *, certain: bool) -> Examination:
@@ -143,12 +139,13 @@ def examine(merge: Quadratic, redundancy: float, *, certain: bool) -> Examinatio
         suspects = find_objects(state, merge.points, LEAST_STATISTIC * _usual(statistics))
         plain = replace(plain, tests=tests, textbook_tests=tests, objects=suspects)
         gaussian = not suspects and are_gaussian(statistics, LARGEST_TAIL)
+        plain = replace(plain, wrong_scale=wrong_scale(state, merge))
     enough = len(merge.members) - len(merge.points) >= MIN_CONTRASTS
     if not (certain and enough) or (gaussian and plain.p_value >= TESTED_FIRST):
         return _with_doubtful(plain, state) if state and certain else plain
     try:
         found = _under_model(merge, state, plain.objects)
-        return replace(found, textbook_tests=plain.textbook_tests)
+        return replace(found, textbook_tests=plain.textbook_tests, wrong_scale=plain.wrong_scale)
     except (DegenerateGeometry, np.linalg.LinAlgError):
         return plain  # so far off that no covariance describes it
 
@@ -181,8 +178,7 @@ def _under_model(
     suspects: tuple[MovedObject, ...],
 ) -> Examination:
     data = contrasts(merge, MAX_CONTRASTS, members_of(suspects))
-    radii = MAX_OMEGA_RADII * scene_radius(merge.points) / data.unit
-    highest = np.array([MAX_PHI, MAX_TAU_UNITS**2, radii**2])
+    highest = largest_variances(merge, data)
     fitted = _fit(data, highest, members_of(suspects))
     if textbook is None:
         return _judged(fitted, np.inf)

@@ -20,6 +20,7 @@ from mapmerge_ros.arrays import Floats
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.element import Element, Placement, coordinates
+from mapmerge_ros.fusion.joint.factor import Carried
 from mapmerge_ros.geometry import Gauge, gauge_basis
 
 FIRST_DAMPING, DAMPING_STEP, MAX_DAMPING = 1e-6, 10.0, 1e6
@@ -39,6 +40,8 @@ class Estimate:
     """Cost before each step"""
     starts: int = 1
     """Starts that were tried to find it"""
+    matrix: Carried | None = None
+    """Factor of the last Gauss-Newton matrix, where it is small enough to be kept"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

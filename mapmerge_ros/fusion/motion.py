@@ -43,6 +43,8 @@ class RigidMotion:
 
     A rotation error e is one that comes after: R_true = exp(e) R.
     """
+    arms: Floats
+    """(m, 3) from the centre to the landmarks of the object, after the turn"""
 
     @property
     def is_turned(self) -> bool:
@@ -54,6 +56,13 @@ class RigidMotion:
         turn = Rotation.from_rotvec(self.rotation_vector).as_matrix()
         moved: Floats = (points - self.centre) @ (turn - np.eye(3)).T + self.translation
         return moved
+
+    def of_members(self) -> tuple[Floats, Floats]:
+        """Displacement (m, 3) of each landmark of the object, and its covariance (m, 3, 3)."""
+        before = Rotation.from_rotvec(-self.rotation_vector).apply(self.arms)
+        by_motion = _basis(self.arms)
+        covariances = by_motion @ self.covariance @ by_motion.swapaxes(1, 2)
+        return self.arms - before + self.translation, covariances
 
 
 def rigid_motion(state: Sensitivity, points: Floats, members: Ints) -> RigidMotion:
@@ -83,8 +92,7 @@ def _fitted(
         centre = before.mean(axis=0)
         arms = turn.apply(before - centre)
         moved = arms - (before - centre) + translation
-        basis = np.concatenate([-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], 2)
-        basis = basis.reshape(-1, 6)[:, free]
+        basis = _basis(arms).reshape(-1, 6)[:, free]
         # A line of landmarks says nothing of the turn about it: wide, not singular.
         matrix = basis.T @ information @ basis
         matrix += 1e-12 * np.diag(matrix).max() * np.eye(len(free))
@@ -98,4 +106,11 @@ def _fitted(
             break
     covariance = np.zeros((6, 6))
     covariance[np.ix_(free, free)] = np.linalg.inv(matrix)
-    return RigidMotion(centre, turn.as_rotvec(), translation, covariance)
+    return RigidMotion(
+        centre, turn.as_rotvec(), translation, covariance, turn.apply(before - centre)
+    )
+
+
+def _basis(arms: Floats) -> Floats:
+    """B (m, 3, 6): displacement of landmarks at `arms` by a turn that comes after, and a shift."""
+    return np.concatenate([-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], 2)

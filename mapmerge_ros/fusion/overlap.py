@@ -8,14 +8,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.sparse
-import scipy.sparse.csgraph
 
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.geometry import Gauge, Similarity, align, align_robustly
+from mapmerge_ros.geometry import (
+    FrameGraph,
+    Gauge,
+    Similarity,
+    align,
+    align_robustly,
+    scene_radius,
+)
 from mapmerge_ros.submap import SubMap
 
 MIN_TO_JUDGE = 8
@@ -53,13 +58,7 @@ class Link:
 
 def components(count: int, links: Sequence[Link]) -> tuple[tuple[int, ...], ...]:
     """Sub-maps connected by usable links, largest first, then in order of their first map."""
-    if not count:
-        return ()
-    usable = [link for link in links if link.S_a_b is not None]
-    graph = _graph(count, usable)
-    labels = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
-    groups = [tuple(map(int, np.flatnonzero(labels == label))) for label in np.unique(labels)]
-    return tuple(sorted(groups, key=lambda group: (-len(group), group)))
+    return tuple(sorted(_graph(count, links).components(), key=lambda group: (-len(group), group)))
 
 
 def spanning_tree(
@@ -73,34 +72,15 @@ def spanning_tree(
 
     The centre is among the sub-maps of the smallest gauge: its scale and heading are real.
     """
-    usable = [link for link in links if link.S_a_b is not None]
-    graph = _graph(len(gauges), usable)
-    eligible = [k for k in maps if gauges[k] == min(gauges[m] for m in maps)]
-    distances, before = scipy.sparse.csgraph.dijkstra(
-        graph, directed=False, indices=eligible, return_predecessors=True
-    )
-    best = int(np.argmin(distances[:, list(maps)].sum(axis=1)))
-    centre, distance, before = eligible[best], distances[best], before[best]
-    by_pair = {(link.a, link.b): link.S_a_b for link in usable}
-    frames = {centre: Similarity.identity()}
-    for k in sorted((k for k in maps if k != centre), key=lambda k: (distance[k], k)):
-        frames[k] = frames[int(before[k])] @ _between(by_pair, int(before[k]), k)
-    return centre, frames
+    graph = _graph(len(gauges), links)
+    centre = graph.centre([k for k in maps if gauges[k] == min(gauges[m] for m in maps)], maps)
+    return centre, graph.frames_from(centre)
 
 
-def _between(by_pair: dict[tuple[int, int], Similarity | None], a: int, b: int) -> Similarity:
-    S_a_b = by_pair.get((a, b))
-    if S_a_b is not None:
-        return S_a_b
-    S_b_a = by_pair[b, a]
-    assert S_b_a is not None
-    return S_b_a.inverse()
-
-
-def _graph(count: int, links: Sequence[Link]) -> scipy.sparse.csr_array:
-    ends = [link.a for link in links], [link.b for link in links]
-    lengths = [_length(link) for link in links]
-    return scipy.sparse.csr_array((lengths, ends), shape=(count, count))
+def _graph(count: int, links: Sequence[Link]) -> FrameGraph:
+    usable = {(link.a, link.b): link for link in links if link.S_a_b is not None}
+    known = {pair: link.S_a_b for pair, link in usable.items() if link.S_a_b is not None}
+    return FrameGraph(count, known, [_length(link) for link in usable.values()])
 
 
 def _length(link: Link) -> float:
@@ -155,10 +135,11 @@ def _contradictions(
     if len(points_a) < MIN_TO_JUDGE:
         return np.zeros(len(points_a), bool)
     distances = np.linalg.norm(points_a - points_b, axis=1)
-    extent = np.median(np.linalg.norm(points_a - np.median(points_a, axis=0), axis=1))
     standardised = distances * np.sqrt(precision)
     significant = standardised > config.contradiction_ratio * np.median(standardised)
-    return np.asarray(significant & (distances > config.contradiction_extent * extent))
+    return np.asarray(
+        significant & (distances > config.contradiction_extent * scene_radius(points_a))
+    )
 
 
 def harmonic(weights_a: Floats, weights_b: Floats) -> Floats:

@@ -77,16 +77,6 @@ class Quadratic:
         return basis
 
 
-def members_of(elements: Sequence[Element]) -> Members:
-    """Members of a merge of shared landmarks."""
-    sizes = [len(element.tracks) for element in elements]
-    return Members(
-        maps=np.repeat(np.arange(len(elements)), sizes),
-        rows=np.concatenate([np.arange(size) for size in sizes]),
-        tracks=np.concatenate([element.tracks for element in elements]),
-    )
-
-
 def quadratic(
     elements: Sequence[Element], points: Floats, gauge: Gauge, sigma: float
 ) -> Quadratic:
@@ -96,7 +86,12 @@ def quadratic(
     The elements hold shared landmarks only (`Element.reduced`); `sigma` [px] is the noise of a
     residual of unit weight.
     """
-    members = members_of(elements)
+    sizes = [len(element.tracks) for element in elements]
+    members = Members(
+        maps=np.repeat(np.arange(len(elements)), sizes),
+        rows=np.concatenate([np.arange(size) for size in sizes]),
+        tracks=np.concatenate([element.tracks for element in elements]),
+    )
     matrices, gradients, price = [], [], 0.0
     for element in elements:
         placement = element.place(points)

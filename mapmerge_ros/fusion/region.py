@@ -3,20 +3,20 @@
 """
 Where the landmarks may be as well: the confidence region of a merge, as curved as it is.
 
-R̄ of the outgoing map, and the standard deviations, describe an ellipsoid. Where a rotation between
-sub-maps is weakly determined the true region bends away from it; the cost of merging follows.
+R̄ of the outgoing map, and the standard deviations, describe an ellipsoid. Where a rotation
+between sub-maps is weakly determined the true region bends away from it; the cost of merging
+follows.
 """
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.errors import InvalidValue
-from mapmerge_ros.fusion.element import Element
+from mapmerge_ros.fusion.informations import informations
+from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.outcome import Fusion
 from mapmerge_ros.fusion.verify import pool_noise
 from mapmerge_ros.submap import SubMap
@@ -46,14 +46,10 @@ def p_value_of(fusion: Fusion, ids: Ids, points: Floats) -> float:
     shared = np.flatnonzero(is_shared)
     given = _rows(np.asarray(ids, np.uint64), names.of_tracks(association)[shared])
     positions = points[given]
-    slots = np.cumsum(is_shared) - 1
-    price = 0.0
-    for submap, tracks, weight in zip(members, association.tracks, noise.weights, strict=True):
-        whole = Element.from_submap(submap, tracks, is_shared[tracks], float(weight))
-        element = whole.reduced()
-        element = replace(element, tracks=slots[element.tracks])
-        residuals = element.residuals(element.place(positions))
-        price += float(residuals @ residuals)
+    cost = JointCost.of(
+        members, association.tracks, is_shared, noise.weights, informations(members)
+    )
+    price = cost.reduced().evaluate(positions).cost
     rise = max(price - fusion.verdict.a_tilde, 0.0) / noise.sigma**2
     freedom = 3 * len(shared) - int(fusion.components[0].gauge)
     if noise.estimated_from:

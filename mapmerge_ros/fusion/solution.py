@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,10 +13,12 @@ from mapmerge_ros.arrays import Ints, Mask
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.joint.cost import JointCost, State
+from mapmerge_ros.fusion.joint.resume import Members, Resumable, resume
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.search import search
 from mapmerge_ros.fusion.verify import Noise, degrees_of_freedom, verify
+from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import SubMap
 
@@ -51,9 +53,10 @@ def solve(
     noise: Noise,
     anchor: Anchor,
     config: FusionConfig,
+    warm: Warm,
 ) -> Solution:
     """
-    Merge sub-maps that hang together.
+    Merge sub-maps that hang together, from where `warm` knows them to have been.
 
     Raises
     ------
@@ -65,18 +68,24 @@ def solve(
     views = association.views
     is_shared: Mask = views > 1 if len(submaps) > 1 else np.ones(association.count, bool)
     dof = degrees_of_freedom(views, [submap.gauge for submap in submaps], gauge)
-    cost = JointCost.of(submaps, association.tracks, is_shared, noise.weights)
+    informations = warm.informations(submaps)
+    cost = JointCost.of(submaps, association.tracks, is_shared, noise.weights, informations)
     reduced = cost.reduced()
+    members = _members(submaps, cost, reduced)
+    last = warm.last_merge(members.map_ids)
     estimate = search(
         reduced,
         links,
         gauge,
         lambda price: verify(price, dof, noise, config).accepted,
         config,
+        resume(reduced, members, last) if last else None,
     )
+    warm.learn_merge(Resumable(members, estimate.points, estimate.matrix))
+    estimate = replace(estimate, matrix=None)
     points = cost.recover_private(estimate.points, association.count)
     held = [submap.map_id for submap in submaps].index(anchor.map_id)
-    S_global_estimate = anchor.S_global_map @ cost.evaluate(points).S_map_globals[held]
+    S_global_estimate = anchor.S_global_map @ cost.frames(points)[held]
     return Solution(
         cost,
         reduced,
@@ -86,3 +95,9 @@ def solve(
         dof,
         tuple(np.flatnonzero(is_shared[own]) for own in association.tracks),
     )
+
+
+def _members(submaps: Sequence[SubMap], cost: JointCost, reduced: JointCost) -> Members:
+    ids = np.concatenate([submap.compressed_ids for submap in submaps])
+    shared = ids if reduced is cost else ids[cost.is_shared]
+    return Members.of(reduced, [submap.map_id for submap in submaps], shared)

@@ -9,11 +9,12 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mapmerge_ros.association import Decision
-from mapmerge_ros.fusion.outcome import MapAlignment, Match, Refusal, State
+from mapmerge_ros.fusion.outcome import MapAlignment, Match, State
 from mapmerge_ros.fusion.outgoing import Merged
 from mapmerge_ros.fusion.overlap import Link
+from mapmerge_ros.fusion.refusal import Refusal
 from mapmerge_ros.geometry import Similarity
-from mapmerge_ros.submap import SubMap
+from mapmerge_ros.submap import DescriptorType, SubMap
 
 NO_COMPONENT = -1
 
@@ -64,12 +65,17 @@ def _why_detached(
     )
 
 
+def _promise(match: Match) -> tuple[int, int, int]:
+    evidence = match.found.evidence
+    return match.links, evidence.inliers, evidence.candidates
+
+
 def _why_unmatched(submap: SubMap, matches: Sequence[Match]) -> str:
     """What came of the most promising comparison with another sub-map."""
     own = [match for match in matches if submap.map_id in (match.a, match.b)]
     if not own:
         return ''
-    best = max(own, key=lambda match: (match.links, match.found.evidence.inliers))
+    best = max(own, key=_promise)
     other = best.b if best.a == submap.map_id else best.a
     if best.found.decision is Decision.JOINED:
         return f'{best.links} landmarks in common with {other}, but too few of them are compressed'
@@ -80,21 +86,30 @@ def left_out(
     submaps: Iterable[SubMap], refusals: Iterable[Refusal], matches: Sequence[Match]
 ) -> list[MapAlignment]:
     """Sub-maps that no component has: refused ones, and bare announcements."""
-    reasons = {refusal.map_id: refusal.reason for refusal in refusals}
+    by_name = {refusal.map_id: refusal for refusal in refusals}
     left_out = []
     for submap in submaps:
-        if submap.map_id in reasons:
-            state, reason = State.REFUSED, reasons[submap.map_id]
+        refusal = by_name.get(submap.map_id)
+        if refusal:
+            state, reason = State.REFUSED, refusal.reason
         elif not submap.compressed_count:
             why = _why_unmatched(submap, matches)
             state = State.DETACHED
             reason = 'an announcement: none of its landmarks is compressed'
+            if not submap.id_space and submap.descriptors.type is DescriptorType.NONE:
+                why = 'its landmark ids are private, and it has no descriptors'
             reason += f'; {why}' if why else ''
         else:
             continue
         left_out.append(
             MapAlignment(
-                submap, state, reason, NO_COMPONENT, Similarity.identity(), np.zeros((7, 7))
+                submap,
+                state,
+                reason,
+                NO_COMPONENT,
+                Similarity.identity(),
+                np.zeros((7, 7)),
+                refusal.quarantine if refusal else None,
             )
         )
     return left_out

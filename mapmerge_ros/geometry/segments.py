@@ -37,7 +37,7 @@ class Segments:
 
     @property
     def lengths(self) -> Ints:
-        """(n,)"""
+        """Rows of each segment (n,)."""
         return np.diff(self.ends)
 
     def rows(self, k: int) -> slice:
@@ -102,7 +102,16 @@ class Similarities:
         """Points (rows, 3) of each source frame into its target frame."""
         owners = segments.owners
         moved: Floats = np.einsum('mij,mj->mi', self.linear()[owners], points)
-        return moved + self.translations[owners]
+        moved += self.translations[owners]
+        return moved
+
+    def where(self, chosen: Mask, others: Similarities) -> Similarities:
+        """Return these where chosen (n,), and the others elsewhere."""
+        return Similarities(
+            np.where(chosen, self.scales, others.scales),
+            np.where(chosen[:, None, None], self.rotations, others.rotations),
+            np.where(chosen[:, None], self.translations, others.translations),
+        )
 
     def after(self, S_new_target: Similarity) -> Similarities:
         """S_new_target @ S_target_source for each."""
@@ -120,6 +129,29 @@ class Alignments:
     S_target_source: Similarities
     determined: Mask
     """(n,) whether `align` would have found this transform; others are the identity"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moments:
+    """Of corresponding points, per segment, with weights that sum to one."""
+
+    correlations: Floats
+    """(n, 3, 3) mean of target times source', both from their means"""
+    target_means: Floats
+    """(n, 3)"""
+    source_means: Floats
+    """(n, 3)"""
+    target_extents: Floats
+    """(n,) mean squared distance from the mean"""
+    source_extents: Floats
+    """(n,) only looked at for least squares and for a yaw"""
+    counts: Ints
+    """(n,) points of positive weight"""
+
+
+_MINIMAL_POINTS = np.zeros(8, np.int64)
+for _gauge in Gauge:
+    _MINIMAL_POINTS[int(_gauge)] = _gauge.minimal_points
 
 
 def align_segments(
@@ -142,20 +174,37 @@ def align_segments(
         owners = segments.owners
         targets, sources = target - target_means[owners], source - source_means[owners]
         products = (shares[:, None] * targets)[:, :, None] * sources[:, None, :]
-        correlations = segments.sums(products)
-        extents = [segments.sums(shares * np.sum(part**2, axis=1)) for part in (targets, sources)]
-        rotations, determined = _rotations(correlations, gauges, np.sqrt(extents[0] * extents[1]))
-        overlaps = np.einsum('nij,nij->n', rotations, correlations)
-        factors = extents[0] / overlaps if scale == 'tangent' else overlaps / extents[1]
+        moments = Moments(
+            segments.sums(products.reshape(-1, 9)).reshape(-1, 3, 3),
+            target_means,
+            source_means,
+            segments.sums(shares * np.sum(targets**2, axis=1)),
+            segments.sums(shares * np.sum(sources**2, axis=1)),
+            segments.counts(weights > 0.0),
+        )
+    return align_moments(moments, gauges, scale)
+
+
+def align_moments(moments: Moments, gauges: Ints, scale: Scale) -> Alignments:
+    """`align_segments` from what it needs to know of each segment."""
+    with np.errstate(all='ignore'):
+        spread = np.sqrt(moments.target_extents * moments.source_extents)
+        rotations, determined = _rotations(moments.correlations, gauges, spread)
+        overlaps = (rotations * moments.correlations).sum(axis=(1, 2))
+        is_tangent = scale == 'tangent'
+        factors = (
+            moments.target_extents / overlaps if is_tangent else overlaps / moments.source_extents
+        )
         factors = np.where(gauges == Gauge.SIMILARITY, factors, 1.0)
-        moved = factors[:, None] * np.einsum('nij,nj->ni', rotations, source_means)
-        translations = np.where(gauges[:, None] == Gauge.NONE, 0.0, target_means - moved)
-        minimal = np.array([Gauge(int(gauge)).minimal_points for gauge in gauges])
-        determined &= segments.counts(weights > 0.0) >= minimal
+        turned = (rotations @ moments.source_means[:, :, None])[:, :, 0]
+        translations = moments.target_means - factors[:, None] * turned
+        translations[gauges == Gauge.NONE] = 0.0
+        determined &= moments.counts >= _MINIMAL_POINTS[gauges]
         determined &= (
             (factors > 0.0) & np.isfinite(factors) & np.isfinite(translations).all(axis=1)
         )
-    return Alignments(_or_identity(determined, factors, rotations, translations), determined)
+    found = Similarities(factors, rotations, translations)
+    return Alignments(found if determined.all() else _or_identity(determined, found), determined)
 
 
 def align_segments_robustly(
@@ -183,11 +232,12 @@ def align_segments_robustly(
 def _rotations(correlations: Floats, gauges: Ints, extents: Floats) -> tuple[Floats, Mask]:
     """Rotations (n, 3, 3) that maximise tr(R' correlation), and which of them are determined."""
     finite = np.asarray(np.isfinite(correlations).all(axis=(1, 2)))
-    safe = np.where(finite[:, None, None], correlations, np.eye(3))
+    safe = correlations
+    if not finite.all():
+        safe = np.where(finite[:, None, None], correlations, np.eye(3))
     left, spreads, right = np.linalg.svd(safe)
-    handed = np.ones((len(safe), 3))
-    handed[:, 2] = np.linalg.det(left) * np.linalg.det(right)
-    rotations = (left * handed[:, None, :]) @ right
+    left[:, :, 2] *= (np.linalg.det(left) * np.linalg.det(right))[:, None]
+    rotations = left @ right
     determined = (spreads[:, 0] > 0.0) & (spreads[:, 1] >= COLLINEAR_RATIO * spreads[:, 0])
     yaw = gauges == Gauge.YAW_TRANSLATION
     if yaw.any():
@@ -202,15 +252,14 @@ def _rotations(correlations: Floats, gauges: Ints, extents: Floats) -> tuple[Flo
             yaw, (length >= COLLINEAR_RATIO * extents) & (length > 0), determined
         )
     fixed = gauges == Gauge.NONE
-    rotations = np.where(fixed[:, None, None], np.eye(3), rotations)
+    if fixed.any():
+        rotations = np.where(fixed[:, None, None], np.eye(3), rotations)
     return rotations, finite & (determined | fixed)
 
 
-def _or_identity(
-    determined: Mask, scales: Floats, rotations: Floats, translations: Floats
-) -> Similarities:
+def _or_identity(determined: Mask, found: Similarities) -> Similarities:
     return Similarities(
-        np.where(determined, scales, 1.0),
-        np.where(determined[:, None, None], rotations, np.eye(3)),
-        np.where(determined[:, None], translations, 0.0),
+        np.where(determined, found.scales, 1.0),
+        np.where(determined[:, None, None], found.rotations, np.eye(3)),
+        np.where(determined[:, None], found.translations, 0.0),
     )

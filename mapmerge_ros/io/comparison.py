@@ -11,7 +11,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion import Fusion, Landmarks
-from mapmerge_ros.geometry import Gauge, Similarity, align_robustly
+from mapmerge_ros.geometry import Gauge, Similarity, align_robustly, scene_radius
 from mapmerge_ros.io.true_values import RecordingTruth
 
 
@@ -57,12 +57,11 @@ def compare_with_truth(fusion: Fusion, truth: RecordingTruth) -> TruthComparison
         points_world, points_global, gauge=Gauge.SIMILARITY, weights=weights
     ).S_target_source
     errors = np.linalg.norm(S_world_global.apply(points_global) - points_world, axis=1)
-    extents = np.linalg.norm(points_world - np.median(points_world, axis=0), axis=1)
     return TruthComparison(
         count=len(pairs),
         median_error=float(np.median(errors)),
         rmse=float(np.sqrt(np.mean(errors**2))),
-        radius=float(np.median(extents)),
+        radius=scene_radius(points_world),
         S_world_global=S_world_global,
     )
 

@@ -12,7 +12,9 @@ from typing import Any
 
 from mapmerge_ros.fusion import Change, ErrorModel, Fusion, MapAlignment, Verdict
 from mapmerge_ros.fusion.outcome import Match
+from mapmerge_ros.fusion.refusal import Quarantine
 from mapmerge_ros.io.codec import encode_submap
+from mapmerge_ros.io.moved_objects import MovedTogether, moved_objects
 from mapmerge_ros.submap import SubMap
 
 
@@ -49,6 +51,7 @@ def summarise(fusion: Fusion, traffic: Traffic | None = None) -> dict[str, Any]:
         'sub_maps': sub_maps,
         'test': _test(fusion.verdict),
         'changes': [_change(change) for change in fusion.changes],
+        'objects': [_object(each) for each in moved_objects(fusion.changes)],
         'components': [list(component.map_ids) for component in fusion.components],
         'pairs': [{'a': x.a, 'b': x.b, 'shared': x.shared} for x in fusion.pairs],
         'matches': [_match(match) for match in fusion.matches],
@@ -104,12 +107,23 @@ def _sub_map(item: MapAlignment) -> dict[str, Any]:
         'sigma': noise_sigma(submap),
         'state': item.state.name.lower(),
         'reason': item.reason,
+        'quarantine': None if item.quarantine is None else _quarantine(item.quarantine),
         'component': item.component if item.component >= 0 else None,
         'global_from_map': {
             'scale': S_global_map.scale,
             'rotation': S_global_map.rotation.tolist(),
             'translation': S_global_map.translation.tolist(),
         },
+    }
+
+
+def _quarantine(found: Quarantine) -> dict[str, Any]:
+    return {
+        'contradicts': list(found.contradicts),
+        'price_ratio': found.price_ratio,
+        'p_value': found.p_value,
+        'distance': found.distance,
+        'distance_ratio': found.distance_ratio,
     }
 
 
@@ -149,6 +163,8 @@ def _errors(errors: ErrorModel) -> dict[str, float]:
         'floor_ratio': errors.tau_ratio,
         'warp_ratio': errors.omega_ratio,
         'tail_freedom': errors.tail_freedom,
+        'price': errors.price,
+        'dof': errors.dof,
     }
 
 
@@ -158,10 +174,25 @@ def _change(change: Change) -> dict[str, Any]:
         'map_id': change.map_id,
         'kind': change.kind.name.lower(),
         'object': change.object_id or None,
+        'merged': change.merged,
         'position': change.position_global.tolist(),
         'displacement': change.displacement_global.tolist(),
         'std': change.std.tolist(),
+        'covariance': change.covariance.tolist(),
         'p_value': change.p_value,
+    }
+
+
+def _object(moved: MovedTogether) -> dict[str, Any]:
+    return {
+        'object': moved.number,
+        'map_id': moved.map_id,
+        'landmarks': moved.count,
+        'displacement': moved.displacement_global.tolist(),
+        'distance': moved.distance,
+        'distance_std': moved.distance_std,
+        'turn_rad': moved.turn_rad,
+        'p_value': moved.p_value,
     }
 
 

@@ -4,10 +4,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from mapmerge_ros.fusion import Change, Fusion, MapAlignment, State, Verdict
+from mapmerge_ros.fusion import Fusion, MapAlignment, State, Verdict
 from mapmerge_ros.io.comparison import TruthComparison
+from mapmerge_ros.io.moved_objects import moved_objects
 
 
 def headline(fusion: Fusion) -> str:
@@ -42,25 +41,33 @@ def belief(verdict: Verdict) -> str:
 
 def what_moved(fusion: Fusion) -> str:
     """Say what was found to be elsewhere; empty if nothing was."""
-    objects: dict[int, list[Change]] = {}
-    for change in fusion.changes:
-        objects.setdefault(change.object_id, []).append(change)
-    doubtful = objects.pop(0, [])
+    taken_out = [change for change in fusion.changes if not change.merged]
+    doubtful = sum(not change.object_id for change in taken_out)
+    merged = len(fusion.changes) - len(taken_out)
     parts = [
-        f'{counted(len(changes), "landmark")} of {changes[0].map_id} moved together by '
-        f'{np.median([np.linalg.norm(x.displacement_global) for x in changes]):.3g}'
-        for _, changes in sorted(objects.items())
+        f'{counted(each.count, "landmark")} of {each.map_id} moved together by {each.distance:.3g}'
+        for each in moved_objects(taken_out)
     ]
     if doubtful:
-        parts.append(f'{counted(len(doubtful), "landmark")} did not fit (wrong match, or moved)')
-    return f'Taken out of the merge: {"; ".join(parts)}.' if parts else ''
+        parts.append(f'{counted(doubtful, "landmark")} did not fit (wrong match, or moved)')
+    sentences = [f'Taken out of the merge: {"; ".join(parts)}.'] if parts else []
+    if merged:
+        sentences.append(f'Doubtful, but merged: {counted(merged, "landmark")}.')
+    return ' '.join(sentences)
+
+
+def kept_out(fusion: Fusion) -> str:
+    """Say which sub-maps are wrong as a whole; empty if none is."""
+    names = [item.submap.map_id for item in fusion.quarantined]
+    return f'Kept out, since the others contradict: {", ".join(names)}.' if names else ''
 
 
 def verdict_sentences(fusion: Fusion) -> str:
     """Say what was merged, whether to believe it, and what moved."""
     if not fusion.in_state(State.MERGED):
         return headline(fusion)
-    return f'{headline(fusion)} {belief(fusion.verdict)} {what_moved(fusion)}'.rstrip()
+    parts = headline(fusion), kept_out(fusion), belief(fusion.verdict), what_moved(fusion)
+    return ' '.join(filter(None, parts))
 
 
 def left_out(fusion: Fusion) -> tuple[MapAlignment, ...]:
@@ -83,7 +90,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def readable_bytes(count: float) -> str:
-    """184 kB"""
+    """Bytes with a unit, as `184 kB`."""
     for unit in ('B', 'kB', 'MB'):
         if count < 1000.0:
             return f'{count:.3g} {unit}'

@@ -10,11 +10,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from sensor_msgs.msg import PointCloud2, PointField
 
+from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion import Fusion
+from mapmerge_ros.io import palette
 from mapmerge_ros.io.map_points import SEVERAL, map_points
-from mapmerge_ros.io.palette import SHARED, Rgb, colours
+from mapmerge_ros.io.palette import SHARED, Rgb
 
 POINT = np.dtype(
     [
@@ -27,6 +30,10 @@ POINT = np.dtype(
     ]
 )
 """rgb is 0x00rrggbb, as the display tools of ROS have it; std is nan where it is not known."""
+
+
+Colours = npt.NDArray[np.uint32]
+"""(n,) 0x00rrggbb"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,10 +69,17 @@ class Cloud:
         )
 
 
+def pack(points: Floats, rgb: Colours | int, std: Floats | float, views: Ints | int) -> Cloud:
+    """Cloud of points (n, 3); colour, standard deviation and sub-maps of each (n,), or of all."""
+    rows = np.zeros(len(points), POINT)
+    rows['x'], rows['y'], rows['z'] = points.T
+    rows['rgb'], rows['std'], rows['views'] = rgb, std, views
+    return Cloud(rows.tobytes())
+
+
 def robot_colours(fusion: Fusion) -> Mapping[str, Rgb]:
-    """Colour of every robot that the fusion knows, by name: the same for the same robots."""
-    robots = sorted({item.submap.robot_id for item in fusion.alignments})
-    return dict(zip(robots, colours(len(robots)), strict=True))
+    """Colour of every robot that the fusion knows, as in the report."""
+    return palette.robot_colours(item.submap.robot_id for item in fusion.alignments)
 
 
 def make_cloud(fusion: Fusion) -> Cloud:
@@ -73,16 +87,11 @@ def make_cloud(fusion: Fusion) -> Cloud:
     found = map_points(fusion)
     robots = {item.submap.map_id: item.submap.robot_id for item in fusion.alignments}
     by_robot = robot_colours(fusion)
-    palette = [*(by_robot[robots[map_id]] for map_id in found.map_ids), SHARED]
-    assert SEVERAL == -1  # the last of the palette
-    packed = np.array([(r << 16) | (g << 8) | b for r, g, b in palette], np.uint32)
-    points = np.zeros(len(found), POINT)
-    for k, axis in enumerate('xyz'):
-        points[axis] = found.points_global[:, k]
-    points['rgb'] = packed[found.owners]
-    points['std'] = np.nan
+    table = [*(by_robot[robots[map_id]] for map_id in found.map_ids), SHARED]
+    assert SEVERAL == -1  # the last of the table
+    packed = np.array([(r << 16) | (g << 8) | b for r, g, b in table], np.uint32)
+    std = np.full(len(found), np.nan)
     if fusion.components:
-        std = fusion.components[0].landmarks.std
-        points['std'][: found.landmark_count] = np.linalg.norm(std, axis=1)
-    points['views'] = found.views
-    return Cloud(points.tobytes())
+        std_xyz = fusion.components[0].landmarks.std
+        std[: found.landmark_count] = np.linalg.norm(std_xyz, axis=1)
+    return pack(found.points_global, packed[found.owners], std, found.views)

@@ -1,8 +1,9 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
 """
-Node of a robot that has a bundle: announces all landmarks, compresses those it is asked for, and
-brings the robot's path into agreement with the map of the fleet.
+Node of a robot that has a bundle: announces all landmarks, compresses those it is asked for.
+
+It brings the robot's path into agreement with the map of the fleet.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from mapmerge_ros.io import InvalidMessage, NamedBundle, decode_request, load_bu
 from mapmerge_ros.nodes.compressor_parameters import declare_settings
 from mapmerge_ros.nodes.corrections import Corrections
 from mapmerge_ros.nodes.outbox import Outbox
-from mapmerge_ros.nodes.own_map import Done, Response
+from mapmerge_ros.nodes.own_map import Done, OwnMap, Response
 from mapmerge_ros.nodes.own_maps import OwnMaps
 from mapmerge_ros.nodes.process import run_node
 from mapmerge_ros.nodes.quality import BUNDLE_PROFILE, LATCHED_PROFILE, REQUESTS_PROFILE
@@ -109,7 +110,7 @@ class CompressorNode(Node):  # type: ignore[misc]
             return lambda: self.get_logger().warning(f'refused: {reason}')
         return (lambda: self._announced(prepared)) if prepared else (lambda: None)
 
-    def _announced(self, own: Any) -> None:
+    def _announced(self, own: OwnMap) -> None:
         map_id = self._maps.take(own)
         self._rounds_left[map_id] = 0
         self._send(map_id)
@@ -132,7 +133,7 @@ class CompressorNode(Node):  # type: ignore[misc]
             return
         self._respond(own, self._settings.limited(request))
 
-    def _respond(self, own: Any, request: Request) -> None:
+    def _respond(self, own: OwnMap, request: Request) -> None:
         response, map_id = own.respond(request), request.map_id
         self.get_logger().debug(f'{map_id}, revision {request.revision}: {response.value}')
         if response is Response.COMPRESS:  # a newer one takes the place of an older

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, PoseStamped
+from geometry_msgs.msg import Pose, PoseStamped
 from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from mapmerge_ros.io import NamedBundle
-from mapmerge_ros.nodes.cloud import POINT, Cloud
-from mapmerge_ros.nodes.frames import quaternion
+from mapmerge_ros.nodes.cloud import Cloud, pack
+from mapmerge_ros.nodes.frames import point, quaternion
 from mapmerge_ros.nodes.quality import LATCHED_PROFILE
 from mapmerge_ros.nodes.way_back import Corrected
 
@@ -48,20 +48,15 @@ class Corrections:
 
     def _cloud(self) -> Cloud:
         parts = [corrected.points_global for _, (_, corrected) in sorted(self._known.items())]
-        points = np.concatenate(parts)
-        rows = np.zeros(len(points), POINT)
-        for k, axis in enumerate('xyz'):
-            rows[axis] = points[:, k]
-        rows['rgb'], rows['std'], rows['views'] = WHITE, np.nan, 1.0
-        return Cloud(rows.tobytes())
+        return pack(np.concatenate(parts), WHITE, np.nan, 1)
 
 
 def _poses(named: NamedBundle, corrected: Corrected) -> list[Any]:
-    """PoseStamped of each key frame's optical frame."""
+    """A PoseStamped of each key frame's optical frame."""
     return [
         PoseStamped(
             header=Header(stamp=_time(stamp_ns), frame_id=corrected.global_frame),
-            pose=Pose(position=_point(position), orientation=quaternion(rotation)),
+            pose=Pose(position=point(position), orientation=quaternion(rotation)),
         )
         for stamp_ns, position, rotation in zip(
             named.keyframe_stamps_ns,
@@ -70,11 +65,6 @@ def _poses(named: NamedBundle, corrected: Corrected) -> list[Any]:
             strict=True,
         )
     ]
-
-
-def _point(values: Any) -> Any:
-    x, y, z = map(float, values)
-    return Point(x=x, y=y, z=z)
 
 
 def _time(stamp_ns: int) -> Any:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
 from mapmerge_ros.fusion import Fusion, Kind, MapAlignment, State
-from mapmerge_ros.nodes.ledger import Ledger
+from mapmerge_ros.nodes.ledger import Held, Ledger
 
 REFUSAL_WARNS_NS = 10_000_000_000
 """How long a refused message keeps the node at WARN: long enough to be seen in a monitor."""
@@ -75,6 +75,8 @@ class Health:
         """Level and what to say; the worst first."""
         if self.error:
             return DiagnosticStatus.ERROR, f'merge failed: {self.error}'
+        if self.fusion is not None and self.fusion.quarantined:
+            return DiagnosticStatus.ERROR, _quarantine(self.fusion)
         warnings = [*self._doubts(), *self.incompatible]
         refusal_ns = self.ledger.last_refusal_ns
         if refusal_ns is not None and self.now_ns - refusal_ns < REFUSAL_WARNS_NS:
@@ -93,6 +95,10 @@ class Health:
         if self.fusion is None:
             return []
         doubts = [] if self.fusion.verdict.accepted else [self.fusion.verdict.reason]
+        moved = [change for change in self.fusion.changes if change.kind is Kind.MOVED]
+        if moved:
+            objects = len({change.object_id for change in moved})
+            doubts.append(f'{objects} objects moved ({len(moved)} landmarks)')
         detached = len(self.fusion.in_state(State.DETACHED))
         refused = len(self.fusion.in_state(State.REFUSED))
         contradictions = len(self.fusion.contradictions)
@@ -108,8 +114,9 @@ class Health:
         record = self.ledger.robots[robot_id]
         maps = {name: x for name, x in self.ledger.maps.items() if x.robot_id == robot_id}
         found = [item for item in self._alignments() if item.submap.map_id in maps]
-        worst = max(found, key=lambda item: item.state, default=None)
+        worst = max(found, key=lambda x: (x.quarantine is not None, x.state), default=None)
         state = 'received' if worst is None else worst.state.name.lower()
+        in_quarantine = any(item.quarantine for item in found)
         reason = '' if worst is None else worst.reason
         values = {
             'topic': record.topic,
@@ -122,11 +129,13 @@ class Health:
             'landmarks': sum(held.landmarks for held in maps.values()),
             'bytes': record.size_bytes,
             'bytes_per_s': f'{record.bytes_per_s(self.now_ns):.0f}',
-            'state': state,
+            'compression_ratio': _compression_ratio(maps.values()),
+            'state': 'quarantined' if in_quarantine else state,
             'reason': reason,
         }
         is_fine = worst is None or worst.state is State.MERGED or len(self._alignments()) == 1
         level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
+        level = DiagnosticStatus.ERROR if in_quarantine else level
         text = reason or state
         if self._is_stale(robot_id):
             level = DiagnosticStatus.STALE
@@ -144,12 +153,24 @@ class Health:
         return 'never' if time_ns is None else f'{max(self.now_ns - time_ns, 0) * 1e-9:.1f}'
 
 
+def _compression_ratio(maps: Iterable[Held]) -> str:
+    held = tuple(maps)
+    size_bytes = sum(item.size_bytes for item in held)
+    return f'{sum(item.observation_bytes for item in held) / max(size_bytes, 1):.3g}'
+
+
+def _quarantine(fusion: Fusion) -> str:
+    found = '; '.join(f'{item.submap.map_id} {item.reason}' for item in fusion.quarantined)
+    return f'{len(fusion.quarantined)} of {len(fusion.alignments)} sub-maps kept out: {found}'
+
+
 def _merge_values(fusion: Fusion) -> dict[str, object]:
     verdict, components = fusion.verdict, fusion.components
     return {
         'merged': len(fusion.in_state(State.MERGED)),
         'detached': len(fusion.in_state(State.DETACHED)),
         'refused': len(fusion.in_state(State.REFUSED)),
+        'quarantined': len(fusion.quarantined),
         'landmarks': len(components[0].landmarks.ids) if components else 0,
         'contradictions': len(fusion.contradictions),
         'moved': sum(change.kind is Kind.MOVED for change in fusion.changes),

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from geometry_msgs.msg import Point, Quaternion, Transform, TransformStamped, Vector3
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
@@ -91,6 +91,12 @@ def _transform(item: MapAlignment, header: Any) -> Any:
             rotation=quaternion(S_global_map.rotation),
         ),
     )
+
+
+def point(values: Floats) -> Any:
+    """Point of (3,)."""
+    x, y, z = map(float, values)
+    return Point(x=x, y=y, z=z)
 
 
 def vector(values: Floats) -> Any:

@@ -19,6 +19,10 @@ class Held:
     robot_id: str
     revision: int
     landmarks: int
+    size_bytes: int
+    """Of its message"""
+    observation_bytes: int
+    """What its observations would take, two float32 each"""
 
 
 @dataclass(slots=True)
@@ -98,15 +102,20 @@ class Ledger:
         record.messages += 1
         record.size_bytes += size_bytes
         if accepted:
-            self.hold(submap, now_ns)
+            self.hold(submap, size_bytes, now_ns)
         else:
             self.ignored += 1
 
-    def hold(self, submap: SubMap, now_ns: int) -> None:
+    def hold(self, submap: SubMap, size_bytes: int, now_ns: int) -> None:
         """Book a map that the engine has taken in, from wherever."""
         self._record(submap.robot_id, '', now_ns)
-        count = len(submap.landmark_ids)
-        self.maps[submap.map_id] = Held(submap.robot_id, submap.revision, count)
+        self.maps[submap.map_id] = Held(
+            robot_id=submap.robot_id,
+            revision=submap.revision,
+            landmarks=len(submap.landmark_ids),
+            size_bytes=size_bytes,
+            observation_bytes=4 * submap.residual_count,
+        )
 
     def see(self, topics: frozenset[str], now_ns: int) -> None:
         """Take note of the topics that somebody publishes on now."""

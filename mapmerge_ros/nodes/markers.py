@@ -9,16 +9,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, Pose, Vector3
+from geometry_msgs.msg import Pose, Vector3
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from mapmerge_ros.arrays import Floats
-from mapmerge_ros.fusion import Fusion, Kind, MapAlignment, State
+from mapmerge_ros.fusion import Fusion, MapAlignment, State
+from mapmerge_ros.geometry import scene_radius
 from mapmerge_ros.io.palette import SHARED, Rgb
 from mapmerge_ros.nodes.cloud import robot_colours
-from mapmerge_ros.nodes.frames import quaternion
+from mapmerge_ros.nodes.frames import point, quaternion, vector
 from mapmerge_ros.nodes.outgoing import covariance_of_parts
 
 TEXT_RATIO, FRAME_RATIO, LINK_RATIO = 0.03, 0.015, 0.004
@@ -27,7 +28,9 @@ TEXT_RATIO, FRAME_RATIO, LINK_RATIO = 0.03, 0.015, 0.004
 STANDARD_DEVIATIONS = 2.0
 """Half axis of an ellipsoid: about three quarters of the truth lie inside in space."""
 
-CHANGE_COLOURS: dict[Kind, Rgb] = {Kind.MOVED: (220, 30, 30), Kind.DOUBTFUL: (240, 180, 60)}
+CERTAIN, DOUBTFUL = (220, 30, 30), (240, 180, 60)
+LEAST_LOG_P = -12.0
+"""Colour of a change, by its p-value: from 1 to a millionth of a millionth."""
 
 LARGEST_RATIO = 0.25
 """Largest half axis drawn, of the extent of the map: a point near infinity must not hide it."""
@@ -43,7 +46,7 @@ class Drawing:
     max_ellipsoids: int
 
     def message(self) -> Any:
-        """MarkerArray that takes the place of the one before."""
+        """A MarkerArray that takes the place of the one before."""
         clear = Marker(header=self.header, action=Marker.DELETEALL)
         return MarkerArray(markers=[clear, *self._markers()])
 
@@ -65,10 +68,9 @@ class Drawing:
         yield from self._changes(extent)
 
     def _extent(self) -> float:
-        """Mean distance of the landmarks from their middle, global units."""
+        """Twice the radius of the scene, global units."""
         points = self.fusion.components[0].landmarks.points_global
-        spread = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-        return max(float(np.median(spread)), np.finfo(float).tiny) * 2.0
+        return max(scene_radius(points), np.finfo(float).tiny) * 2.0
 
     def _marker(self, namespace: str, number: int, kind: int, colour: Rgb, alpha: float) -> Any:
         r, g, b = (value / 255.0 for value in colour)
@@ -79,7 +81,7 @@ class Drawing:
 
     def _links(self, merged: tuple[MapAlignment, ...], extent: float) -> Any:
         """One line for each pair of merged sub-maps with landmarks in common."""
-        origins = {item.submap.map_id: _point(item.S_global_map.translation) for item in merged}
+        origins = {item.submap.map_id: point(item.S_global_map.translation) for item in merged}
         marker = self._marker('links', 0, Marker.LINE_LIST, SHARED, 0.8)
         marker.scale.x = LINK_RATIO * extent
         marker.points = [
@@ -92,7 +94,7 @@ class Drawing:
 
     def _frame(self, number: int, item: MapAlignment, colour: Rgb, extent: float) -> Any:
         marker = self._marker('frames', number, Marker.SPHERE, colour, 1.0)
-        marker.pose = Pose(position=_point(item.S_global_map.translation))
+        marker.pose = Pose(position=point(item.S_global_map.translation))
         marker.pose.orientation = quaternion(item.S_global_map.rotation)
         size = FRAME_RATIO * extent
         marker.scale = Vector3(x=size, y=size, z=size)
@@ -101,7 +103,7 @@ class Drawing:
     def _label(self, number: int, item: MapAlignment, extent: float) -> Any:
         marker = self._marker('labels', number, Marker.TEXT_VIEW_FACING, SHARED, 1.0)
         above = item.S_global_map.translation + np.array([0.0, 0.0, TEXT_RATIO * extent])
-        marker.pose.position = _point(above)
+        marker.pose.position = point(above)
         marker.scale.z = TEXT_RATIO * extent
         marker.text = item.submap.map_id
         return marker
@@ -120,12 +122,15 @@ class Drawing:
     def _changes(self, extent: float) -> Iterator[Any]:
         """Arrows from where the others have a landmark to where one sub-map has it."""
         for k, change in enumerate(self.fusion.changes):
-            marker = self._marker('changes', k, Marker.ARROW, CHANGE_COLOURS[change.kind], 1.0)
+            colour = colour_of(change.p_value)
+            marker = self._marker('changes', k, Marker.ARROW, colour, 1.0)
             tip = change.position_global
-            marker.points = [_point(tip - change.displacement_global), _point(tip)]
+            marker.points = [point(tip - change.displacement_global), point(tip)]
             width = LINK_RATIO * extent
             marker.scale = Vector3(x=width, y=3.0 * width, z=0.0)
             yield marker
+            if k < self.max_ellipsoids:
+                yield self._ellipsoid('change_std', k, tip, change.covariance, colour, extent)
 
     def _ellipsoid(
         self,
@@ -138,11 +143,17 @@ class Drawing:
     ) -> Any:
         marker = self._marker(namespace, number, Marker.SPHERE, colour, 0.3)
         diameters, rotation = axes(covariance, LARGEST_RATIO * extent)
-        marker.pose.position = _point(position)
+        marker.pose.position = point(position)
         marker.pose.orientation = quaternion(rotation)
-        x, y, z = map(float, diameters)
-        marker.scale = Vector3(x=x, y=y, z=z)
+        marker.scale = vector(diameters)
         return marker
+
+
+def colour_of(p_value: float) -> Rgb:
+    """Colour of a change: the redder, the less it may be chance."""
+    share = min(float(np.log10(max(p_value, 1e-300))) / LEAST_LOG_P, 1.0)
+    r, g, b = (round(a + share * (b - a)) for a, b in zip(DOUBTFUL, CERTAIN, strict=True))
+    return r, g, b
 
 
 def axes(covariance: Floats, largest: float) -> tuple[Floats, Floats]:
@@ -153,8 +164,3 @@ def axes(covariance: Floats, largest: float) -> tuple[Floats, Floats]:
     half = np.clip(half, 1e-6 * largest, largest)
     rotation = vectors * np.sign(np.linalg.det(vectors))
     return 2.0 * half, Rotation.from_matrix(rotation).as_matrix()
-
-
-def _point(values: Floats) -> Any:
-    x, y, z = map(float, values)
-    return Point(x=x, y=y, z=z)

@@ -7,8 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mapmerge_ros.association import Memory
-from mapmerge_ros.fusion import Fusion, FusionConfig, FusionEngine, Snapshot, fuse
+from mapmerge_ros.fusion import Fusion, FusionConfig, FusionEngine, Snapshot, Warm, fuse
 from mapmerge_ros.io import encode_submap
 from mapmerge_ros.nodes.cloud import Cloud, make_cloud
 from mapmerge_ros.nodes.worker import Result, Worker
@@ -96,9 +95,9 @@ class MergeLoop:
             on_merge(result)
 
 
-def produce(snapshot: Snapshot, config: FusionConfig, memory: Memory) -> Product:
+def produce(snapshot: Snapshot, config: FusionConfig, warm: Warm) -> Product:
     """Fuse a snapshot and serialise the global map."""
-    fusion = fuse(snapshot, config, memory)
+    fusion = fuse(snapshot, config, warm)
     global_map = fusion.global_map
     raw = None if global_map is None else encode_submap(global_map)
     return Product(fusion, raw, make_cloud(fusion))

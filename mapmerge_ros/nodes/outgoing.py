@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point
 from mapmerge_msgs.msg import Alignment, AlignmentArray, Change, ChangeArray, FusionStatus
 from std_msgs.msg import Header
 
@@ -16,7 +15,7 @@ from mapmerge_ros import fusion
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.fusion import Fusion, FusionConfig, MapAlignment, State
 from mapmerge_ros.geometry import Similarity, skew
-from mapmerge_ros.nodes.frames import quaternion, vector
+from mapmerge_ros.nodes.frames import point, quaternion, vector
 from mapmerge_ros.nodes.ledger import Ledger
 
 NO_COMPONENT = 2**32 - 1
@@ -38,17 +37,17 @@ class Outgoing:
         return Header(stamp=self.stamp, frame_id=self.config.global_frame)
 
     def alignments(self) -> Any:
-        """AlignmentArray of every sub-map that the engine held."""
+        """Alignments of every sub-map that the engine held."""
         found = [_alignment(item) for item in self.fusion.alignments]
         return AlignmentArray(header=self.header, alignments=found)
 
     def changes(self) -> Any:
-        """ChangeArray of what was taken out of the merge."""
+        """Changes, that is what was taken out of the merge."""
         found = [_change(change) for change in self.fusion.changes]
         return ChangeArray(header=self.header, changes=found)
 
     def status(self, ledger: Ledger) -> Any:
-        """FusionStatus with the evidence of this fusion and the counters of the node."""
+        """Status with the evidence of this fusion and the counters of the node."""
         message = FusionStatus(header=self.header, global_map_id=self.config.map_id)
         fill_counters(message, ledger)
         _fill_counts(message, self.fusion)
@@ -113,13 +112,12 @@ def _alignment(item: MapAlignment) -> Any:
 
 
 def _change(change: fusion.Change) -> Any:
-    position = change.position_global
     return Change(
         map_id=change.map_id,
         revision=change.revision,
         landmark_id=change.landmark_id,
         global_landmark_id=change.global_id,
-        position=Point(x=position[0], y=position[1], z=position[2]),
+        position=point(change.position_global),
         displacement=vector(change.displacement_global),
         covariance=change.covariance.ravel(),
         p_value=change.p_value,

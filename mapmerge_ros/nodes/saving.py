@@ -11,7 +11,7 @@ from typing import Any
 from mapmerge_msgs.srv import LoadMap, SaveMap
 
 from mapmerge_ros.fusion import FusionEngine
-from mapmerge_ros.io import BagError, OutputError
+from mapmerge_ros.io import BagError, OutputError, encode_submap
 from mapmerge_ros.io.state import load_state, save_state
 from mapmerge_ros.nodes.ledger import Ledger
 
@@ -56,7 +56,7 @@ class Saving:
         receipts = self._engine.restore(saved.state)
         for submap, receipt in zip(saved.state.submaps, receipts, strict=True):
             if receipt.accepted:
-                self._ledger.hold(submap, self._now_ns())
+                self._ledger.hold(submap, len(encode_submap(submap)), self._now_ns())
         response.sub_maps = sum(receipt.accepted for receipt in receipts)
         reasons = [*(item.refusal for item in saved.refused), *(x.reason for x in receipts)]
         response.message = '; '.join(dict.fromkeys(filter(None, reasons)))

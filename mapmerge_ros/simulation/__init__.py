@@ -3,6 +3,7 @@
 """Simulated robots with truth: scenes, drones, their maps, and the full bundle to compare with."""
 
 from mapmerge_ros.simulation.adjust import Adjustment, AdjustmentError, BehindCamera, adjust, solve
+from mapmerge_ros.simulation.announcement import announcement
 from mapmerge_ros.simulation.drones import Camera, Sensing, fly, observe
 from mapmerge_ros.simulation.fleet import Fleet, FleetConfig, Truth, simulate_fleet
 from mapmerge_ros.simulation.frames import anchored, frame_error, random_frame
@@ -34,6 +35,7 @@ __all__ = [
     'adjust',
     'all_around',
     'anchored',
+    'announcement',
     'arc',
     'box_scene',
     'box_truth',

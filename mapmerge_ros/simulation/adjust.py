@@ -62,6 +62,8 @@ def solve(
     function_tolerance: float = FUNCTION_TOLERANCE,
     gradient_tolerance: float = GRADIENT_TOLERANCE,
     trust_radius: float | None = None,
+    linear_solver: str = '',
+    max_seconds: float = 1e9,
 ) -> Adjustment:
     """
     Minimise the reprojection error over all poses and points; the intrinsics stay.
@@ -70,7 +72,9 @@ def solve(
     position, mean heading and extent of the poses do not change. So a metric map keeps its scale
     and a gravity-aligned one its vertical, and the rows of the frame prior stay at zero.
 
-    With `trust_radius` the trust region is held at that size and does not grow.
+    With `trust_radius` the trust region is held at that size and does not grow. `linear_solver`
+    is one of Ceres by name (SPARSE_SCHUR, …); COLMAP chooses by the number of images if it is
+    empty.
 
     Raises
     ------
@@ -86,6 +90,10 @@ def solve(
     if trust_radius is not None:
         solver = options.ceres.solver_options
         solver.initial_trust_region_radius = solver.max_trust_region_radius = trust_radius
+    options.ceres.solver_options.max_solver_time_in_seconds = max_seconds
+    if linear_solver:
+        solver, options.ceres.auto_select_solver_type = options.ceres.solver_options, False
+        solver.linear_solver_type = getattr(type(solver.linear_solver_type), linear_solver)
     config = colmap.BundleAdjustmentConfig()
     for row in range(len(bundle.keyframe_ids)):
         config.add_image(row + 1)

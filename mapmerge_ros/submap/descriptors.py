@@ -49,6 +49,11 @@ class Descriptors:
         """Bytes of one descriptor."""
         return int(self.rows.shape[1])
 
+    @property
+    def known(self) -> Mask:
+        """(n,) which landmarks have a descriptor: all zeros mean none."""
+        return np.asarray(self.rows.any(axis=1))
+
     def __len__(self) -> int:
         return len(self.rows)
 

@@ -18,30 +18,38 @@ MEMORY = 6
 
 
 class Acceleration:
-    """Differences of landmarks, of gradients, and of the steps -M⁻¹ g, newest last."""
+    """Differences of gradients and of the steps -M⁻¹ g, and where these lead; the oldest go."""
 
     def __init__(self) -> None:
         self._last: tuple[Floats, Floats, Floats] | None = None
-        self._differences: list[tuple[Floats, Floats, Floats]] = []
+        self._bent = self._changed = self._ways = np.zeros((MEMORY, 0))
+        self._count = 0
 
     def forget(self) -> None:
         """M has changed."""
-        self._last = None
-        self._differences = []
+        self._last, self._count = None, 0
 
     def improved(self, points: Floats, gradient: Floats, step: Floats) -> Floats:
         """Better step than `step` = -M⁻¹ gradient at `points`, all of one shape."""
-        current = (points, gradient, step)
+        current = points.ravel(), gradient.ravel(), step.ravel()
         if self._last is not None:
             moved, bent, changed = (a - b for a, b in zip(current, self._last, strict=True))
-            self._differences = [*self._differences[1 - MEMORY :], (moved, bent, changed)]
+            self._keep(bent, changed, moved + changed)
         self._last = current
-        if not self._differences:
+        if not self._count:
             return step
+        kept = min(self._count, MEMORY)
+        changed, bent, ways = (x[:kept] for x in (self._changed, self._bent, self._ways))
         # In the norm of M: M applied to a change of steps is minus the change of gradients.
-        inner = [[-np.sum(a[2] * b[1]) for b in self._differences] for a in self._differences]
-        right = [-np.sum(a[2] * gradient) for a in self._differences]
-        shares = np.linalg.lstsq(np.array(inner), np.array(right), rcond=1e-10)[0]
-        ways = np.array([moved + changed for moved, _, changed in self._differences])
-        improved: Floats = step - np.tensordot(shares, ways, axes=1)
+        shares = np.linalg.lstsq(-changed @ bent.T, -changed @ current[1], rcond=1e-10)[0]
+        improved: Floats = step - (shares @ ways).reshape(step.shape)
         return improved
+
+    def _keep(self, bent: Floats, changed: Floats, way: Floats) -> None:
+        if self._bent.shape[1] != len(bent):
+            self._bent, self._changed, self._ways = (
+                np.empty((MEMORY, len(bent))) for _ in range(3)
+            )
+        slot = self._count % MEMORY
+        self._bent[slot], self._changed[slot], self._ways[slot] = bent, changed, way
+        self._count += 1

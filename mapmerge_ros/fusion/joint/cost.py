@@ -9,30 +9,16 @@ The cost of all sub-maps together, stacked: what `Element` says of one, for all 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.errors import DegenerateGeometry
-from mapmerge_ros.fusion.element import Element, coordinates
-from mapmerge_ros.geometry import Gauge, Segments, Similarities, align_segments
-from mapmerge_ros.submap import SubMap, alignment_weights, triangulate
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Root:
-    """R and c of one sub-map; the squared residuals count `weight` times."""
-
-    r: Floats
-    """(k, 3s) float32 where it came so: it is exact, and half as large"""
-    c: Floats
-    """(k,)"""
-    weight: float
-
-    def dense(self) -> Floats:
-        """R in float64, not weighted."""
-        return np.asarray(self.r, np.float64)
+from mapmerge_ros.fusion.element import Element
+from mapmerge_ros.fusion.joint.root import Root, scratch_size
+from mapmerge_ros.geometry import Gauge, Moments, Segments, Similarities, align_moments
+from mapmerge_ros.submap import SubMap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +31,8 @@ class State:
     """T_k from the hard gauge constraint"""
     moved: Floats
     """(rows, 3) y = T q of every member, frame of its map"""
+    moments: Floats
+    """(maps, 3, 3) weighted mean of growth times y"""
     stretches: Floats
     """(maps,) factor that brings y to the size of q°; 1 where the gauge has scale"""
     centres: Floats
@@ -72,27 +60,52 @@ class JointCost:
     is_shared: Mask
     """(rows,)"""
     roots: tuple[Root, ...]
+    shares: Floats = field(init=False)
+    """(rows,) weights that sum to one in each map"""
+    centres_map: Floats = field(init=False)
+    """(maps, 3) weighted means of the working points"""
+    growth: Floats = field(init=False)
+    """(rows, 3) displacement of the working points per unit of log scale"""
+    sizes: Floats = field(init=False)
+    """(maps,) weighted mean squared growth"""
+
+    def __post_init__(self) -> None:
+        set_, owners = object.__setattr__, self.segments.owners
+        set_(self, 'shares', self.weights / self.segments.sums(self.weights)[owners])
+        set_(self, 'centres_map', self.means(self.points_map))
+        set_(self, 'growth', self.points_map - self.centres_map[owners])
+        squares = np.einsum('mi,mi->m', self.growth, self.growth)
+        set_(self, 'sizes', self.segments.sums(self.shares * squares))
 
     @classmethod
     def of(
-        cls, submaps: Sequence[SubMap], tracks: Sequence[Ints], is_shared: Mask, weights: Floats
+        cls,
+        submaps: Sequence[SubMap],
+        tracks: Sequence[Ints],
+        is_shared: Mask,
+        weights: Floats,
+        informations: Sequence[Floats],
     ) -> JointCost:
-        """Cost of whole sub-maps; `is_shared` is by track, `weights` (maps,) by map."""
-        roots, alignment = [], []
-        for submap, own, weight in zip(submaps, tracks, weights, strict=True):
-            r = submap.triangle(np.float32 if submap.packed_r.dtype == np.float32 else np.float64)
-            roots.append(Root(r, submap.c, float(weight)))
-            information = np.where(is_shared[own], alignment_weights(r), 0.0)
-            alignment.append(information / information.max())
+        """
+        Cost of whole sub-maps; `is_shared` is by track, `weights` (maps,) by map.
+
+        `informations` are the `alignment_weights` of each.
+        """
         rows = np.concatenate(list(tracks))
+        segments = Segments.of_lengths([len(own) for own in tracks])
+        alignment = np.where(is_shared[rows], np.concatenate(list(informations)), 0.0)
+        largest = np.maximum.reduceat(alignment, segments.ends[:-1])
         return cls(
             gauges=np.array([int(submap.gauge) for submap in submaps]),
-            segments=Segments.of_lengths([len(own) for own in tracks]),
+            segments=segments,
             tracks=rows,
             points_map=np.concatenate([submap.compressed_points for submap in submaps]),
-            weights=np.concatenate(alignment),
+            weights=alignment / largest[segments.owners],
             is_shared=is_shared[rows],
-            roots=tuple(roots),
+            roots=tuple(
+                Root(submap.packed_r, submap.c, float(weight), 3 * submap.compressed_count)
+                for submap, weight in zip(submaps, weights, strict=True)
+            ),
         )
 
     def __len__(self) -> int:
@@ -117,8 +130,7 @@ class JointCost:
             weights=self.weights[shared],
             is_shared=shared[shared],
             roots=tuple(
-                _without_private(root, shared[self.segments.rows(k)])
-                for k, root in enumerate(self.roots)
+                root.without(shared[self.segments.rows(k)]) for k, root in enumerate(self.roots)
             ),
         )
 
@@ -132,44 +144,32 @@ class JointCost:
             The landmarks do not determine the frame of some map.
 
         """
-        found = align_segments(
-            self.points_map,
-            points[self.tracks],
-            self.segments,
-            self.gauges,
-            self.weights,
-            'tangent',
-        )
-        if not found.determined.all():
-            k = int(np.argmin(found.determined))
-            raise DegenerateGeometry(
-                f'the shared landmarks of sub-map {k} of the merge do not determine its frame'
-            )
-        moved = found.S_target_source.apply(self.segments, points[self.tracks])
-        centres, growth = self.means(moved), self.growth()
-        stretches = np.where(self.gauges == Gauge.SIMILARITY, 1.0, self._stretches(moved, growth))
-        owners = self.segments.owners
-        stretched = centres[owners] + stretches[owners, None] * (moved - centres[owners])
-        with np.errstate(invalid='ignore'):  # a wild step may turn a map inside out: it costs nan
-            logarithms = np.log(stretches)[owners, None]
-        displacement = stretched - self.points_map - logarithms * growth
-        slopes, cost = np.empty_like(displacement), 0.0
-        for k, root in enumerate(self.roots):
-            rows = self.segments.rows(k)
-            dense = root.dense()
-            residuals = dense @ displacement[rows].ravel() + root.c
-            cost += root.weight * float(residuals @ residuals)
-            slopes[rows] = root.weight * (residuals @ dense).reshape(-1, 3)
-        return State(points, found.S_target_source, moved, stretches, centres, slopes, cost)
+        owners, source = self.segments.owners, points[self.tracks]
+        placed = self._moments(source)
+        frames = self._frames(placed)
+        moved = frames.apply(self.segments, source)
+        turned = placed.correlations @ frames.linear().transpose(0, 2, 1)
+        centres = (frames.linear() @ placed.source_means[:, :, None])[:, :, 0]
+        centres += frames.translations
+        displacement, stretches = moved - self.points_map, np.ones(len(self))
+        if not self.is_plain:
+            overlaps = np.einsum('nii->n', turned)
+            stretches = np.where(self.gauges == Gauge.SIMILARITY, 1.0, self.sizes / overlaps)
+            with np.errstate(invalid='ignore'):  # a wild step may turn a map inside out: nan
+                logarithms = np.log(stretches)[owners, None]
+            displacement += (stretches[owners, None] - 1.0) * (moved - centres[owners])
+            displacement -= logarithms * self.growth
+        cost, slopes = self._responses(displacement)
+        return State(points, frames, moved, turned, stretches, centres, slopes, cost)
 
-    def centres_map(self) -> Floats:
-        """Weighted means (maps, 3) of the working points."""
-        return self.means(self.points_map)
+    def frames(self, points: Floats) -> Similarities:
+        """S_map_global of every map on the global landmarks (tracks, 3); see `evaluate`."""
+        return self._frames(self._moments(points[self.tracks]))
 
-    def growth(self) -> Floats:
-        """Displacement (rows, 3) of the working points per unit of log scale."""
-        growth: Floats = self.points_map - self.centres_map()[self.segments.owners]
-        return growth
+    @property
+    def is_plain(self) -> bool:
+        """Whether no sub-map knows its scale: then there are no stretches."""
+        return bool((self.gauges == Gauge.SIMILARITY).all())
 
     def recover_private(self, shared_points: Floats, count: int) -> Floats:
         """All landmarks (count, 3), the private ones where they are best for given shared ones."""
@@ -196,29 +196,49 @@ class JointCost:
         )
 
     def elements(self) -> tuple[Element, ...]:
-        """Every map in its plain form, which takes four times the memory."""
+        """Every map in its plain form, which takes eight times the memory."""
         return tuple(self.element(k) for k in range(len(self)))
-
-    def shares(self) -> Floats:
-        """Weights (rows,) that sum to one in each map."""
-        shares: Floats = self.weights / self.segments.sums(self.weights)[self.segments.owners]
-        return shares
 
     def means(self, points: Floats) -> Floats:
         """Weighted mean (maps, 3) of points (rows, 3)."""
-        return self.segments.sums(self.shares()[:, None] * points)
+        return self.segments.sums(self.shares[:, None] * points)
 
-    def _stretches(self, moved: Floats, growth: Floats) -> Floats:
-        weighted = growth * self.weights[:, None]
-        size = self.segments.sums(np.sum(weighted * growth, axis=1))
-        stretches: Floats = size / self.segments.sums(np.sum(weighted * moved, axis=1))
-        return stretches
+    def _moments(self, source: Floats) -> Moments:
+        """What the hard gauge needs to know of the global landmarks (rows, 3)."""
+        weighted = self.shares[:, None] * self.growth
+        products = (weighted[:, :, None] * source[:, None, :]).reshape(-1, 9)
+        means = self.means(source)
+        return Moments(
+            self.segments.sums(products).reshape(-1, 3, 3),
+            self.centres_map,
+            means,
+            self.sizes,
+            self._extents(source, means),
+            self.segments.counts(self.weights > 0.0),
+        )
 
+    def _frames(self, moments: Moments) -> Similarities:
+        found = align_moments(moments, self.gauges, 'tangent')
+        if not found.determined.all():
+            k = int(np.argmin(found.determined))
+            raise DegenerateGeometry(
+                f'the shared landmarks of sub-map {k} of the merge do not determine its frame'
+            )
+        return found.S_target_source
 
-def _without_private(root: Root, is_shared: Mask) -> Root:
-    """Private columns first in a QR: the rows below them hold for every T (exact)."""
-    if is_shared.all():
-        return root
-    private, shared = np.flatnonzero(~is_shared), np.flatnonzero(is_shared)
-    r, c = triangulate(root.dense()[:, coordinates(np.concatenate([private, shared]))], root.c)
-    return Root(r[3 * len(private) :, 3 * len(private) :], c[3 * len(private) :], root.weight)
+    def _responses(self, displacement: Floats) -> tuple[float, Floats]:
+        slopes, cost = np.empty_like(displacement), 0.0
+        scratch = np.empty(scratch_size(3 * int(self.segments.lengths.max())))
+        for k, root in enumerate(self.roots):
+            rows = self.segments.rows(k)
+            own, slope = root.responses(displacement[rows].ravel(), scratch)
+            slopes[rows] = slope.reshape(-1, 3)
+            cost += own
+        return cost, slopes
+
+    def _extents(self, source: Floats, means: Floats) -> Floats:
+        """Mean squared distances (maps,), where somebody looks at them: see `Moments`."""
+        if not (self.gauges == Gauge.YAW_TRANSLATION).any():
+            return np.ones(len(self))
+        distances = source - means[self.segments.owners]
+        return self.segments.sums(self.shares * np.sum(distances**2, axis=1))

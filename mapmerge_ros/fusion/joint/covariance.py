@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Mask
+from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.compress import Normal
 from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.cost import JointCost, State
-from mapmerge_ros.fusion.joint.factor import factorise
+from mapmerge_ros.fusion.joint.factorise import factorise
 from mapmerge_ros.fusion.joint.fronts import Front
 from mapmerge_ros.fusion.joint.minimise import gauss_newton, plan
 from mapmerge_ros.geometry import Gauge, Similarity, gauge_basis
@@ -59,7 +59,7 @@ def uncertainty(cost: JointCost, state: State, gauge: Gauge, sigma: float) -> Un
             free = block[: len(own), : len(own)] + n @ (inner @ n.T - z.T) - z @ n.T
             _take_landmarks(front, free, landmarks)
             if front.leaf >= 0:
-                derivative = by_points(front.leaf)[:, front.leaf_order]
+                derivative = by_points(front.leaf, front.leaf_order)
                 frames[front.leaf] = derivative @ free @ derivative.T
     return Uncertainty(sigma**2 * landmarks, sigma**2 * frames)
 
@@ -97,18 +97,18 @@ def _take_landmarks(front: Front, free: Floats, landmarks: Floats) -> None:
 
 
 class _FramesByPoints:
-    """Derivative (7, 3s) of the frame of a map by its landmarks: `Element.frame_by_points`."""
+    """`Element.frame_by_points`: derivative (7, 3s) of a frame by landmarks in a given order."""
 
     def __init__(self, cost: JointCost, state: State) -> None:
         self._cost, self._state = cost, state
         self._responses = derivatives.gauge_response(cost, state)[1]
-        self._centres = cost.centres_map()
+        self._centres = cost.centres_map
 
-    def __call__(self, k: int) -> Floats:
+    def __call__(self, k: int, order: Ints) -> Floats:
         rows, size = self._cost.segments.rows(k), int(self._cost.gauges[k])
         S_map_global = self._state.S_map_globals[k]
         linear = S_map_global.scale * S_map_global.rotation
-        turned = self._responses[rows].transpose(2, 0, 1) @ linear
+        turned = self._responses[rows][order].transpose(2, 0, 1) @ linear
         tangent = np.zeros((7, turned.shape[1] * 3))
         # generators are ordered translation, rotation z x y, scale; exp rotation, translation
         tangent[[3, 4, 5, 2, 0, 1, 6][:size]] = turned[:size].reshape(size, tangent.shape[1])

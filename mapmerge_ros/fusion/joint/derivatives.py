@@ -7,11 +7,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.blas import dgemm
 
-from mapmerge_ros.arrays import Floats
+from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.joint.cost import JointCost, State
+from mapmerge_ros.fusion.joint.root import Unpacked
 from mapmerge_ros.geometry import Gauge, generators
+
+UNDETERMINED = 'the frame of a sub-map is not determined'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,36 +30,83 @@ class LowRank:
 
 def gradient(cost: JointCost, state: State) -> Floats:
     """Half the derivative (tracks, 3) of the cost by the global landmarks."""
-    answer, owners = low_rank(cost, state), cost.segments.owners
-    pulled = cost.segments.products(answer.left, state.slopes[:, :, None])
-    slopes = state.stretches[owners, None] * state.slopes
-    slopes += (answer.right @ pulled[owners])[:, :, 0]
-    turned = np.einsum('mi,mij->mj', slopes, state.S_map_globals.linear()[owners])
+    owners, linear = cost.segments.owners, state.S_map_globals.linear()
+    slopes = _pulled_back(cost, state)
+    turned = np.einsum('mi,mij->mj', slopes, linear[owners])
     size = len(state.points)
     return np.column_stack(
         [np.bincount(cost.tracks, weights=axis, minlength=size) for axis in turned.T]
     )
 
 
-def jacobian(cost: JointCost, k: int, state: State, answer: LowRank) -> Floats:
-    """Derivative (rows of R, 3s) of a map's weighted residuals by its global landmarks."""
-    root, rows = cost.roots[k], cost.segments.rows(k)
-    linear = state.S_map_globals.scales[k] * state.S_map_globals.rotations[k]
-    left = answer.left[rows].reshape(root.r.shape[1], -1)
-    right = (answer.right[rows].transpose(0, 2, 1) @ linear).transpose(0, 2, 1)
-    r, weight = root.dense(), np.sqrt(root.weight)
-    turned = r.reshape(-1, 3) @ (weight * state.stretches[k] * linear)
-    matrix: Floats = turned.reshape(r.shape)
-    matrix += weight * (r @ left) @ right.reshape(root.r.shape[1], -1).T
-    return matrix
+def _pulled_back(cost: JointCost, state: State) -> Floats:
+    """(stretch I + V U') slopes, (rows, 3): derivative by y with the frames following."""
+    owners = cost.segments.owners
+    if not cost.is_plain:
+        answer = low_rank(cost, state)
+        pulled = cost.segments.products(answer.left, state.slopes[:, :, None])
+        slopes = state.stretches[owners, None] * state.slopes
+        slopes += (answer.right @ pulled[owners])[:, :, 0]
+        return slopes
+    # All scales are free: N'WG falls apart into translation, rotation and scale.
+    lever = state.moved - cost.centres_map[owners]
+    products = (lever[:, :, None] * state.slopes[:, None, :]).reshape(-1, 9)
+    sums = cost.segments.sums(np.concatenate([state.slopes, products], axis=1))
+    pull, inner = sums[:, 3:].reshape(-1, 3, 3), state.moments
+    traces = np.einsum('nii->n', inner)[:, None]
+    torques = np.column_stack([pull[:, i, j] - pull[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))])
+    try:
+        turns = np.linalg.solve(traces[:, :, None] * np.eye(3) - inner, torques[:, :, None])
+    except np.linalg.LinAlgError:
+        raise DegenerateGeometry(UNDETERMINED) from None
+    pushed = np.cross(turns[owners, :, 0], cost.growth)
+    pushed += (np.einsum('nii->n', pull)[:, None] / traces)[owners] * cost.growth
+    pushed += sums[owners, :3]
+    free: Floats = state.slopes - cost.shares[:, None] * pushed
+    return free
+
+
+class Jacobians:
+    """Derivatives of the maps' weighted residuals, one map after the other in the same memory."""
+
+    def __init__(self, cost: JointCost, state: State) -> None:
+        self._cost, self._state, self._answer = cost, state, low_rank(cost, state)
+        columns = 3 * int(cost.segments.lengths.max())
+        self._unpacked, self._sorted = Unpacked(columns), np.empty(columns**2)
+
+    def of(self, k: int, order: Ints) -> Floats:
+        """
+        Derivative (rows of R, 3s) by the global landmarks of a map, these in the given order.
+
+        Valid until the next one is asked for.
+        """
+        root, rows, frames = (
+            self._cost.roots[k],
+            self._cost.segments.rows(k),
+            self._state.S_map_globals,
+        )
+        shape = len(root.c), root.columns
+        linear = frames.scales[k] * frames.rotations[k]
+        left = self._answer.left[rows].reshape(root.columns, -1)
+        right = self._answer.right[rows][order].transpose(0, 2, 1) @ linear
+        weight = np.sqrt(root.weight)
+        r = self._unpacked.trapezoid(root.packed, *shape)
+        inner = weight * (r @ left)
+        sorted_ = self._sorted[: r.size].reshape(len(r), -1, 3)
+        np.take(r.reshape(sorted_.shape), order, axis=1, out=sorted_, mode='clip')
+        stretched = weight * self._state.stretches[k] * linear
+        np.matmul(sorted_.reshape(-1, 3), stretched, out=r.reshape(-1, 3))
+        moved = right.transpose(0, 2, 1).reshape(root.columns, -1)
+        dgemm(1.0, moved, inner.T, beta=1.0, c=r.T, overwrite_c=1)
+        return r
 
 
 def low_rank(cost: JointCost, state: State) -> LowRank:
     """How T and the stretch answer to moved landmarks, for all maps."""
     tangents, responses = gauge_response(cost, state)
-    if (cost.gauges == Gauge.SIMILARITY).all():
+    if cost.is_plain:
         return LowRank(-tangents, responses)
-    owners, growth = cost.segments.owners, cost.growth()
+    owners, growth = cost.segments.owners, cost.growth
     stretches = state.stretches[owners, None]
     weighted = growth * cost.weights[:, None]
     metric = 1.0 * (cost.gauges != Gauge.SIMILARITY)[owners, None]
@@ -63,7 +114,7 @@ def low_rank(cost: JointCost, state: State) -> LowRank:
     left, right = np.zeros((len(growth), 3, 4)), np.zeros((len(growth), 3, 4))
     left[:, :, :3] = (1.0 - stretches)[:, :, None] * np.eye(3)
     left[:, :, 3] = metric * (state.moved - state.centres[owners] - growth / stretches)
-    right[:, :, :3] = cost.shares()[:, None, None] * np.eye(3)
+    right[:, :, :3] = cost.shares[:, None, None] * np.eye(3)
     right[:, :, 3] = -metric * stretches**2 / size * weighted
     inner = cost.segments.products(right, tangents)[owners]
     through = -stretches[:, :, None] * tangents - left @ inner
@@ -74,8 +125,8 @@ def low_rank(cost: JointCost, state: State) -> LowRank:
 
 def gauge_response(cost: JointCost, state: State) -> tuple[Floats, Floats]:
     """G and the transposed response (N'W G)^-1 N'W, (rows, 3, 7); zero where T is not free."""
-    owners, growth = cost.segments.owners, cost.growth()
-    centres = cost.centres_map()[owners]
+    owners, growth = cost.segments.owners, cost.growth
+    centres = cost.centres_map[owners]
     is_free = np.arange(7) < cost.gauges[:, None]
     free = is_free[owners][:, None, :]
     tangents = _generators(state.moved - centres) * free
@@ -85,7 +136,7 @@ def gauge_response(cost: JointCost, state: State) -> tuple[Floats, Floats]:
     try:
         inverse = np.linalg.inv(inner)
     except np.linalg.LinAlgError:
-        raise DegenerateGeometry('the frame of a sub-map is not determined') from None
+        raise DegenerateGeometry(UNDETERMINED) from None
     return tangents, constraints @ inverse.transpose(0, 2, 1)[owners]
 
 

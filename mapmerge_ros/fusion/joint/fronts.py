@@ -35,7 +35,13 @@ class Front:
     leaf: int
     """Sub-map of a leaf, else -1"""
     leaf_order: Ints
-    """(k + b,) coordinates of that sub-map in the order of the front"""
+    """Landmarks of that sub-map in the order of the front"""
+    start: int
+    """Place of the first eliminated coordinate in the order of elimination"""
+    boundary: Ints
+    """(b,) places of the others"""
+    depth: int
+    """Fronts above it"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,8 +49,23 @@ class Fronts:
     """The fronts of a problem, children before their parents; the last one is the root."""
 
     fronts: tuple[Front, ...]
-    size: int
-    """Coordinates of all landmarks"""
+    order: Ints
+    """(size,) global coordinates in the order of elimination"""
+
+    @property
+    def size(self) -> int:
+        """Coordinates of all landmarks."""
+        return len(self.order)
+
+    @property
+    def storage(self) -> int:
+        """Numbers in a factor."""
+        return sum(len(front.rows) * front.eliminated for front in self.fronts)
+
+    @property
+    def largest(self) -> int:
+        """Numbers in the largest part of a factor that one front makes."""
+        return max(len(front.rows) * front.eliminated for front in self.fronts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +75,10 @@ class _Numbers:
     node_of: Ints
     rank: Ints
     by_rank: Ints
+    starts: Ints
+    """Per node, place of the first coordinate that it eliminates"""
+    depths: Ints
+    """Per node, nodes above it"""
 
 
 def plan_fronts(
@@ -65,29 +90,21 @@ def plan_fronts(
     With `last` (count,), those landmarks are eliminated after all others, in a front of their own
     at the root.
     """
-    node_of = _eliminated_at(tree, tracks, count)
-    if last is not None:
-        node_of = np.where(last, len(tree.spans), node_of)
-    by_rank = _order(tree, tracks, node_of)
-    rank = np.empty(count, np.int64)
-    rank[by_rank] = np.arange(count)
-    numbers = _Numbers(node_of, rank, by_rank)
+    children = _children(tree)
+    numbers = _number(tree, children, tracks, count, last)
     fronts: list[Front] = []
     boundaries: list[Ints] = []
-    waiting: list[int] = []
     for node, (low, _, high) in enumerate(tree.spans):
         leaf = int(tree.order[low]) if high - low == 1 else -1
-        children = () if leaf >= 0 else (waiting[-2], waiting[-1])
-        parts = [tracks[leaf]] if leaf >= 0 else [boundaries[child] for child in children]
-        fronts.append(_front(node, leaf, children, parts, numbers, boundaries))
-        del waiting[len(waiting) - len(children) :]
-        waiting.append(node)
-        for child in children:
+        parts = [tracks[leaf]] if leaf >= 0 else [boundaries[c] for c in children[node]]
+        fronts.append(_front(node, leaf, children[node], parts, numbers, boundaries))
+        for child in children[node]:
             boundaries[child] = np.zeros(0, np.int64)
     if last is not None:
         top = len(tree.spans)
-        fronts.append(_front(top, -1, (top - 1,), [boundaries[top - 1]], numbers, boundaries))
-    return Fronts(tuple(fronts), 3 * count)
+        parts = [boundaries[top - 1]]
+        fronts.append(_front(top, -1, (top - 1,), parts, numbers, boundaries))
+    return Fronts(tuple(fronts), _three(numbers.by_rank))
 
 
 def _front(
@@ -100,41 +117,79 @@ def _front(
 ) -> Front:
     """Front of the landmarks of `parts`; its boundary is appended to `boundaries`."""
     rank = numbers.rank
-    landmarks = np.unique(rank[np.concatenate(parts)])
+    ranks = [rank[part] for part in parts]
+    landmarks = np.sort(ranks[0]) if len(parts) == 1 else np.union1d(*ranks)
     own = numbers.by_rank[landmarks]
     k = int((numbers.node_of[own] == node).sum())
     boundaries.append(own[k:])
-    runs = tuple(_runs(np.searchsorted(landmarks, rank[part]), k) for part in parts if leaf < 0)
-    order = np.argsort(rank[parts[0]]) if leaf >= 0 else np.zeros(0, np.int64)
-    return Front(_three(own), 3 * k, children, runs, leaf, _three(order))
+    runs = tuple(_runs(np.searchsorted(landmarks, part), k) for part in ranks if leaf < 0)
+    order = np.argsort(ranks[0]) if leaf >= 0 else np.zeros(0, np.int64)
+    boundary = _three(landmarks[k:])
+    start, depth = int(numbers.starts[node]), int(numbers.depths[node])
+    return Front(_three(own), 3 * k, children, runs, leaf, order, start, boundary, depth)
 
 
-def _eliminated_at(tree: Tree, tracks: Sequence[Ints], count: int) -> Ints:
-    """Node (count,) at which each landmark is eliminated."""
-    first, final = np.full(count, len(tracks)), np.full(count, -1)
-    for place, k in enumerate(tree.order):
-        first[tracks[k]] = np.minimum(first[tracks[k]], place)
-        final[tracks[k]] = place
-    node_of = np.full(count, -1)
-    # Children come first, so the first node that spans a landmark is the lowest.
-    pending = np.arange(count)
+def _children(tree: Tree) -> tuple[tuple[int, ...], ...]:
+    """Nodes below each node; none for a leaf."""
+    children: list[tuple[int, ...]] = []
+    waiting: list[int] = []
     for node, (low, _, high) in enumerate(tree.spans):
-        inside = (first[pending] >= low) & (final[pending] < high)
-        node_of[pending[inside]] = node
-        pending = pending[~inside]
-    return node_of
+        own = () if high - low == 1 else (waiting[-2], waiting[-1])
+        del waiting[len(waiting) - len(own) :]
+        waiting.append(node)
+        children.append(own)
+    return tuple(children)
 
 
-def _order(tree: Tree, tracks: Sequence[Ints], node_of: Ints) -> Ints:
+def _number(
+    tree: Tree,
+    children: tuple[tuple[int, ...], ...],
+    tracks: Sequence[Ints],
+    count: int,
+    last: Mask | None,
+) -> _Numbers:
     """Landmarks by node, those of the same maps side by side: so runs are long."""
-    count = len(node_of)
-    first, final, total = (np.zeros(count, np.int64) for _ in range(3))
-    for place, k in enumerate(tree.order):
-        final[tracks[k]] = place
-        total[tracks[k]] += place * place + 1
-    for place, k in reversed(list(enumerate(tree.order))):
-        first[tracks[k]] = place
-    return np.lexsort((np.arange(count), total, final, first, node_of))
+    leaves = np.repeat(np.arange(len(tracks)), [len(tracks[k]) for k in tree.order])
+    rows = np.concatenate([tracks[k] for k in tree.order])
+    first, final = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    final[rows] = leaves  # of equal rows, the last one stays
+    first[rows[::-1]] = leaves[::-1]
+    total = np.bincount(rows, weights=leaves * leaves + 1, minlength=count)
+    node_of = _lowest_above(tree, children, first, final)
+    if last is not None:
+        node_of[last] = len(tree.spans)
+    by_rank = np.lexsort((np.arange(count), total, final, first, node_of))
+    rank = np.empty(count, np.int64)
+    rank[by_rank] = np.arange(count)
+    starts = 3 * np.searchsorted(node_of[by_rank], np.arange(len(tree.spans) + 1))
+    return _Numbers(node_of, rank, by_rank, starts, _depths(children, last is not None))
+
+
+def _depths(children: tuple[tuple[int, ...], ...], below_another: bool) -> Ints:
+    depths = np.zeros(len(children) + 1, np.int64)
+    depths[len(children) - 1] = below_another
+    for node in range(len(children) - 1, -1, -1):
+        for child in children[node]:
+            depths[child] = depths[node] + 1
+    return depths
+
+
+def _lowest_above(
+    tree: Tree, children: tuple[tuple[int, ...], ...], first: Ints, final: Ints
+) -> Ints:
+    """Lowest node (count,) above all leaves from the first to the final one."""
+    spans = np.array(tree.spans)
+    below = np.array([own or (node, node) for node, own in enumerate(children)])
+    node_of = np.full(len(first), len(spans) - 1)
+    moving = np.arange(len(first))
+    while len(moving):
+        node = node_of[moving]
+        middle = spans[node, 1]
+        left, right = final[moving] < middle, first[moving] >= middle
+        goes = (left | right) & (spans[node, 2] - spans[node, 0] > 1)
+        node_of[moving[goes]] = below[node[goes], right[goes].astype(np.int64)]
+        moving = moving[goes]
+    return node_of
 
 
 def _runs(rows: Ints, eliminated: int) -> tuple[Run, ...]:

@@ -5,54 +5,107 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
+from scipy.linalg.blas import dsyrk
 
-from mapmerge_ros.arrays import Floats, Mask
+from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.acceleration import Acceleration
 from mapmerge_ros.fusion.joint.cost import JointCost, State
 from mapmerge_ros.fusion.joint.dissection import dissect
-from mapmerge_ros.fusion.joint.factor import Elements, Factor, factorise
+from mapmerge_ros.fusion.joint.factor import Carried, Factor
+from mapmerge_ros.fusion.joint.factorise import Elements, factorise
 from mapmerge_ros.fusion.joint.fronts import Fronts, plan_fronts
 from mapmerge_ros.fusion.merge import DAMPING_STEP, FIRST_DAMPING, MAX_DAMPING, Estimate
 from mapmerge_ros.geometry import Gauge, gauge_basis
 
 STALLED = 0.5
 """
-Share of the last step's promise from which a step counts as slow, and the matrix as too old.
+Share of a new matrix' promise from which its second step counts as slow: then it is outdated at
+once, as in a bent valley, where only Gauss-Newton with a matrix for each step gets on.
+"""
 
-The promise falls with the square of the error; a tenth is a third of the error, and costs seven
-cheap steps for what one factorisation buys.
+WORTH = 25
+"""Cheap steps that cost as much as a factorisation: 20 (16 drones) to 28 (256)."""
+
+OVERSHOOT = 10.0
+"""
+By how many times its promise a step with an old matrix may raise the cost.
+
+Old and new matrix differ in the soft modes, and what a step along them shows (`Acceleration`) is
+worth more than the rise.
 """
 
 ROUNDING = 1e-12
 """Share of the cost below which a step that does not lower it is rounding."""
 
 
+class Solver(Protocol):
+    """Stands for the inverse of a matrix."""
+
+    def solve(self, right: Floats) -> Floats:
+        """Solve for a right-hand side (size,)."""
+
+
 @dataclass(slots=True)
 class _Matrix:
     """The factor in use of the Gauss-Newton matrix, and how steps with it have gone."""
 
+    solver: Solver | None = None
+    """What stands for its inverse: a factor of it, or of that of an earlier merge"""
+    factor: Factor | None = None
+    """Last factor that was made here"""
     acceleration: Acceleration = field(default_factory=Acceleration)
     damping: float = 0.0
-    factor: Factor | None = None
     fresh: bool = False
     """Made for the current landmarks"""
+    fronts: Fronts | None = None
 
     def renew(self, damping: float = 0.0) -> None:
         """Ask for a factor of the current landmarks."""
-        self.factor, self.damping = None, damping
+        self.solver, self.damping = None, damping
         self.acceleration.forget()
 
+    def kept(self, carried: Carried | None) -> Carried | None:
+        """Return what the next merge may begin with."""
+        if self.factor is None:
+            return carried
+        if not self.factor.fits:
+            return None
+        return Carried(self.factor, np.arange(self.factor.fronts.size // 3))
 
-def minimise(cost: JointCost, points: Floats, gauge: Gauge, config: FusionConfig) -> Estimate:
+    def make(self, cost: JointCost, state: State, gauge: Gauge) -> None:
+        """Factorise for the current landmarks, in the memory of the last factor."""
+        self.fresh = True
+        self.fronts = self.fronts or plan(cost, state.points)
+        storage = self.factor.storage if self.factor else None
+        self.factor = None
+        try:
+            elements = gauss_newton(cost, state, gauge, self.damping)
+            # Rounded after it is made, a factor is still one of a positive definite matrix.
+            self.solver = self.factor = factorise(
+                self.fronts, elements, dtype=np.float32, storage=storage
+            )
+        except np.linalg.LinAlgError:
+            self.solver = None
+
+
+def minimise(
+    cost: JointCost,
+    points: Floats,
+    gauge: Gauge,
+    config: FusionConfig,
+    carried: Carried | None = None,
+) -> Estimate:
     """
     Minimise the cost over the landmarks, from `points` (tracks, 3).
 
-    `gauge` is that of the result: the smallest among the sub-maps.
+    `gauge` is that of the result: the smallest among the sub-maps. The matrix of an earlier
+    merge (`carried`) serves as long as its steps get on.
 
     Raises
     ------
@@ -60,39 +113,46 @@ def minimise(cost: JointCost, points: Floats, gauge: Gauge, config: FusionConfig
         The landmarks are not determined by the sub-maps together.
 
     """
-    fronts = plan(cost, points)
     state = cost.evaluate(points)
-    matrix = _Matrix()
-    history, before = [state.cost], np.inf
+    matrix = _Matrix(solver=carried)
+    history, promises, own = [state.cost], list[float](), carried is None
     for iteration in range(1, config.max_iterations + 1):
-        matrix.fresh = matrix.factor is None
-        state, promised = _step(cost, fronts, state, matrix, gauge)
+        matrix.fresh = matrix.solver is None
+        state, promised = _step(cost, state, matrix, gauge)
         history.append(state.cost)
-        if promised <= config.relative_decrease * max(state.cost, np.finfo(float).tiny):
-            return Estimate(state.points, state.cost, iteration, True, tuple(history))
-        if promised > STALLED * before or matrix.damping:
+        enough = config.relative_decrease * max(state.cost, np.finfo(float).tiny)
+        promises.append(promised)
+        if promised <= enough:
+            kept = matrix.kept(carried)
+            return Estimate(state.points, state.cost, iteration, True, tuple(history), matrix=kept)
+        if matrix.damping or _is_outdated(promises, enough, own):
             matrix.renew()
-            promised = np.inf
-        before = promised
+            promises, own = [], True
     return Estimate(state.points, state.cost, config.max_iterations, False, tuple(history))
 
 
-def _step(
-    cost: JointCost, fronts: Fronts, state: State, matrix: _Matrix, gauge: Gauge
-) -> tuple[State, float]:
+def _is_outdated(promises: list[float], enough: float, is_own: bool) -> bool:
+    """Whether a factorisation costs less than the steps that are left with this matrix."""
+    if len(promises) == 2 and is_own:
+        return promises[1] > STALLED * promises[0]
+    if len(promises) < 3:
+        return False
+    decades = np.log(promises[-3] / promises[-1]) / 2.0  # two steps, as one may well overshoot
+    return bool(np.log(promises[-1] / enough) > WORTH * decades)
+
+
+def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple[State, float]:
     """Return the next state and the decrease that the step promised; the same state if none."""
     gradient = derivatives.gradient(cost, state)
     while True:
-        if matrix.factor is None:
-            matrix.fresh = True
-            matrix.factor = _factorised(cost, fronts, state, matrix.damping, gauge)
-        if matrix.factor is not None:
-            step = -matrix.factor.solve(gradient.ravel()).reshape(-1, 3)
+        if matrix.solver is None:
+            matrix.make(cost, state, gauge)
+        if matrix.solver is not None:
+            step = -matrix.solver.solve(gradient.ravel()).reshape(-1, 3)
             promised = -float(np.sum(gradient * step))
             better = matrix.acceleration.improved(state.points, gradient, step)
             trial = cost.evaluate(state.points + better)
-            # An old matrix may overshoot; what that shows is worth more than the rise.
-            if trial.cost <= state.cost + (0.0 if matrix.fresh else promised):
+            if trial.cost <= state.cost + (0.0 if matrix.fresh else OVERSHOOT * promised):
                 return trial, promised
             if promised <= ROUNDING * state.cost:
                 return state, 0.0
@@ -106,15 +166,6 @@ def _step(
 def _check_determined(gradient: Floats, state: State) -> None:
     if not (np.isfinite(gradient).all() and np.isfinite(state.cost)):
         raise DegenerateGeometry('a shared landmark is not determined by the sub-maps together')
-
-
-def _factorised(
-    cost: JointCost, fronts: Fronts, state: State, damping: float, gauge: Gauge
-) -> Factor | None:
-    try:
-        return factorise(fronts, gauss_newton(cost, state, gauge, damping))
-    except np.linalg.LinAlgError:
-        return None
 
 
 def plan(cost: JointCost, points: Floats, last: Mask | None = None) -> Fronts:
@@ -137,23 +188,22 @@ def gauss_newton(
 
     With a `gauge`, the frame of the result is held by the landmarks of one map in the middle.
     """
-    low_rank = derivatives.low_rank(cost, state)
+    jacobians = derivatives.Jacobians(cost, state)
     holder = _middle(cost, state.points) if gauge else -1
 
-    def element(k: int) -> Floats:
-        jacobian = derivatives.jacobian(cost, k, state, low_rank)
-        matrix: Floats = jacobian.T @ jacobian
-        diagonal = np.einsum('ii->i', matrix)
+    def element(k: int, order: Ints, out: Floats) -> None:
+        dsyrk(1.0, jacobians.of(k, order).T, c=out, lower=1, overwrite_c=1)
+        diagonal = np.einsum('ii->i', out)
         typical = diagonal.mean()
         if damping:
             diagonal *= 1.0 + damping
         if gauge and k == holder:
-            rows = cost.segments.rows(k)
+            rows = np.arange(cost.segments.ends[k], cost.segments.ends[k + 1])[order]
             used = cost.weights[rows] > 0.0
             held = gauge_basis(state.points[cost.tracks[rows][used]], gauge)
             at = np.flatnonzero(np.repeat(used, 3))
-            matrix[np.ix_(at, at)] += typical * held @ held.T
-        return matrix
+            with np.errstate(all='ignore'):  # above the diagonal there is anything
+                out[np.ix_(at, at)] += typical * held @ held.T
 
     return element
 

@@ -1,0 +1,118 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A merge that goes on from the last one: its landmarks as the start, its factor as the matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmerge_ros.arrays import Floats, Ids, Ints
+from mapmerge_ros.fusion.joint.cost import JointCost
+from mapmerge_ros.fusion.joint.factor import Carried
+from mapmerge_ros.fusion.joint.start import mean_of_members
+from mapmerge_ros.geometry import align_segments
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Members:
+    """Which landmark of which sub-map each row of a `JointCost` is."""
+
+    map_ids: tuple[str, ...]
+    owners: Ints
+    """(rows,) sub-map"""
+    landmark_ids: Ids
+    """(rows,)"""
+    tracks: Ints
+    """(rows,) its number in the merge"""
+
+    @classmethod
+    def of(cls, cost: JointCost, map_ids: Sequence[str], landmark_ids: Ids) -> Members:
+        """Members of a cost; `landmark_ids` (rows,)."""
+        return cls(tuple(map_ids), cost.segments.owners, landmark_ids, cost.tracks)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Resumable:
+    """What a merge leaves to the next one."""
+
+    members: Members
+    points: Floats
+    """(tracks, 3) where its landmarks came to lie"""
+    matrix: Carried | None
+    """Factor of its Gauss-Newton matrix; None where that would take too much memory"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Where a merge begins, and an old matrix to begin with."""
+
+    points: Floats
+    """(tracks, 3)"""
+    matrix: Carried | None
+    """None where there are landmarks that it knows nothing of"""
+
+
+def resume(cost: JointCost, members: Members, last: Resumable) -> Start | None:
+    """
+    Start from the last merge; None where that does not determine the frame of some sub-map.
+
+    Landmarks that are new lie where sub-maps see them that the others place.
+    """
+    before = _before(members, last.members, cost.count)
+    points = np.full((cost.count, 3), np.nan)
+    known = before >= 0
+    points[known] = last.points[before[known]]
+    if known.all():
+        carried = last.matrix and Carried(last.matrix.factor, last.matrix.numbers[before])
+        return Start(points, carried)
+    while not known.all():
+        weights = np.where(known[cost.tracks], cost.weights, 0.0)
+        placed = align_segments(
+            np.where(known[cost.tracks, None], points[cost.tracks], 0.0),
+            cost.points_map,
+            cost.segments,
+            cost.gauges,
+            weights,
+        )
+        sure = placed.determined[cost.segments.owners]
+        seen = np.bincount(cost.tracks, weights=sure, minlength=cost.count) > 0
+        if not (seen & ~known).any():
+            return None
+        means = mean_of_members(cost, placed.S_target_source, sure)
+        points[seen & ~known] = means[seen & ~known]
+        known |= seen
+    return Start(points, None)
+
+
+def _before(new: Members, old: Members, count: int) -> Ints:
+    """Number (count,) that each landmark had, or -1: that of the member of its first sub-map."""
+    codes = {map_id: code for code, map_id in enumerate({*new.map_ids, *old.map_ids})}
+    maps, ids, tracks, is_new = (
+        np.concatenate(parts)
+        for parts in (
+            [_codes(old, codes), _codes(new, codes)],
+            [old.landmark_ids, new.landmark_ids],
+            [old.tracks, new.tracks],
+            [np.zeros(len(old.tracks), bool), np.ones(len(new.tracks), bool)],
+        )
+    )
+    order = np.lexsort((is_new, ids, maps))
+    low, high = order[:-1], order[1:]
+    same = (maps[low] == maps[high]) & (ids[low] == ids[high]) & ~is_new[low] & is_new[high]
+    low, high = low[same], high[same]
+    before = np.full(count, -1)
+    turn = np.argsort(-high, kind='stable')  # of several members, the first one stays
+    before[tracks[high[turn]]] = tracks[low[turn]]
+    # Two landmarks that were one cannot both be it.
+    used, first = np.unique(before, return_index=True)
+    twice = np.ones(count, bool)
+    twice[first[used >= 0]] = False
+    before[twice] = -1
+    return before
+
+
+def _codes(members: Members, codes: dict[str, int]) -> Ints:
+    return np.array([codes[map_id] for map_id in members.map_ids])[members.owners]
