@@ -15,8 +15,9 @@ from mapmerge_ros.bundle import Bundle, MapName, announce, compress
 from mapmerge_ros.bundle.selection import best_tracks, ranked_tracks
 from mapmerge_ros.cli.choosing import Budget, choose
 from mapmerge_ros.errors import InvalidValue
+from mapmerge_ros.fusion import FusionConfig, fuse
 from mapmerge_ros.io import encode_submap
-from mapmerge_ros.submap import catalogue_bytes, information_bytes, most_landmarks
+from mapmerge_ros.submap import SubMap, catalogue_bytes, information_bytes, most_landmarks
 
 
 def pair(points: int = 120) -> tuple[list[Bundle], list[MapName]]:
@@ -106,3 +107,27 @@ def test_announcements_are_not_changed_by_a_budget() -> None:
     bundles, names = pair()
     announced = announce(bundles[0], names[0])
     assert len(encode_submap(announced)) <= catalogue_bytes(announced)
+
+
+def merged_map(config: FusionConfig) -> SubMap:
+    bundles, names = pair(200)
+    common = np.intersect1d(bundles[0].point_ids, bundles[1].point_ids)
+    submaps = [compress(*own, common[:60]) for own in zip(bundles, names, strict=True)]
+    found = fuse(submaps, config).global_map
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize('max_bytes', [8_000, 30_000, 60_000])
+def test_the_global_map_keeps_its_bytes(max_bytes: int) -> None:
+    free = merged_map(FusionConfig())
+    found = merged_map(FusionConfig(max_bytes=max_bytes))
+    assert len(encode_submap(found)) <= max_bytes < len(encode_submap(free))
+    assert 3 < found.compressed_count < free.compressed_count
+    has_catalogue = len(found.landmark_ids) > found.compressed_count
+    assert has_catalogue == (catalogue_bytes(free) <= max_bytes // 2 + 500)
+
+
+def test_a_global_map_without_a_limit_is_as_it_was() -> None:
+    free, wide = merged_map(FusionConfig()), merged_map(FusionConfig(max_bytes=10**7))
+    assert encode_submap(free) == encode_submap(wide)

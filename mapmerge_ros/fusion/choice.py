@@ -57,8 +57,8 @@ class _Selection:
     """
     The state of one choice.
 
-    In the forest a track is taken in a sub-map only if that serves a pair which still needs one.
-    So the room left in a sub-map never falls below what its pairs still need.
+    In the forest a track is taken in a sub-map only if that serves a pair which still needs one,
+    or if there is room for more. So the room left never falls below what the pairs still need.
     """
 
     def __init__(self, common: Common, room: Ints, min_shared: int) -> None:
@@ -112,16 +112,22 @@ class _Selection:
             self._take_for(int(best), a, b, 1.0 - self._need[a, b] / need)
 
     def _take_for(self, track: int, a: int, b: int, urgency: float) -> None:
-        """Take a track in a and b, and wherever else it serves a pair that needs one."""
+        """Take a track in a and b, and wherever that leaves room for what pairs need."""
         takers = self._taken[:, track].copy()
         takers[[a, b]] = True
         for c in np.flatnonzero(self._owners[:, track] & ~takers & (self._room > 0)):
-            takers[c] = bool((self._need[c, takers] > 0).any())
+            is_needed = bool((self._need[c, takers] > 0).any())
+            takers[c] = is_needed or self._is_free(int(c), takers)
         new = takers & ~self._taken[:, track]
         self._take(track, new, urgency)
         members = np.flatnonzero(takers)
         block = np.ix_(members, members)
         self._need[block] = np.maximum(self._need[block] - (new[members, None] | new[members]), 0)
+
+    def _is_free(self, k: int, takers: Mask) -> bool:
+        """Whether a sub-map has more room than its pairs need, and is linked to who takes it."""
+        is_linked = bool(self._linked[k, takers].any())
+        return is_linked and bool(self._room[k] > self._need[k].sum())
 
     def _take(self, track: int, new: Mask, urgency: float) -> None:
         self._taken[new, track] = True

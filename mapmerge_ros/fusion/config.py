@@ -13,6 +13,7 @@ _LOWEST = {
     'max_iterations': 1,
     'max_starts': 1,
     'max_landmarks': 3,
+    'max_bytes': 0,
     'request_landmarks': 3,
     'request_bytes': 0,
 }
@@ -74,6 +75,12 @@ class FusionConfig:
     Landmarks that the outgoing map stays compressed to; R is quadratic in it (4.5 MB here).
 
     Those beyond are eliminated exactly and go on as catalogue.
+    """
+    max_bytes: int = 0
+    """
+    Largest map that goes out [byte]; fewer landmarks stay compressed to keep it; 0 = no limit.
+
+    The catalogue goes along if it leaves half of the bytes to what can be merged.
     """
     catalogue: bool = True
     """Whether the outgoing map carries position and descriptor of all other landmarks."""

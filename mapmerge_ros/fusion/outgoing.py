@@ -20,7 +20,11 @@ from mapmerge_ros.fusion.solution import Anchor, Solution
 from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue
 from mapmerge_ros.fusion.verify import Noise
 from mapmerge_ros.geometry import Similarity
-from mapmerge_ros.submap import Source, SubMap, pack
+from mapmerge_ros.submap import Source, SubMap, most_within, pack
+from mapmerge_ros.submap.size import head_bytes, landmark_bytes
+
+LEAST = 3
+"""Landmarks that any map keeps: fewer cannot be merged with anything."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +56,8 @@ def compress_component(
     maps_global = solution.state.S_map_globals
     S_global_maps = tuple(maps_global[k].inverse() for k in range(len(submaps)))
     catalogue = build_catalogue(submaps, S_global_maps, association, names)
-    keep = most_useful(np.where(names.nameless, 0, association.views), ids, config.max_landmarks)
+    limit, has_catalogue = _room(submaps, catalogue, names.id_space, config)
+    keep = most_useful(np.where(names.nameless, 0, association.views), ids, limit)
     keep &= ~names.nameless
     known = knowledge(solution.cost, solution.state, gauge, noise.sigma, keep)
     component = Component(
@@ -64,6 +69,7 @@ def compress_component(
             known.normal,
             ids[keep],
             catalogue,
+            has_catalogue,
             names.id_space,
             noise,
             verdict,
@@ -80,6 +86,23 @@ def compress_component(
         names=names,
     )
     return Merged(component, S_global_maps, tuple(known.frames))
+
+
+def _room(
+    submaps: Sequence[SubMap], catalogue: Catalogue, id_space: str, config: FusionConfig
+) -> tuple[int, bool]:
+    """Most landmarks that stay compressed, and whether the others go along as catalogue."""
+    if not config.max_bytes:
+        return config.max_landmarks, config.catalogue
+    leaves = {source for submap in submaps for source in submap.sources}
+    names = (config.map_id, config.map_id, config.global_frame, id_space)
+    room = config.max_bytes - head_bytes(names, leaves)
+    has_covariances = catalogue.covariances is not None
+    each = landmark_bytes(has_covariances, catalogue.descriptors.size)
+    listed = each * len(catalogue.ids)
+    has_catalogue = config.catalogue and listed <= room // 2
+    most = most_within(room - listed) if has_catalogue else most_within(room, each)
+    return min(config.max_landmarks, max(most, LEAST)), has_catalogue
 
 
 def _landmarks(
@@ -111,6 +134,7 @@ def _global_submap(
     normal: Normal,
     ids: Ids,
     catalogue: Catalogue,
+    has_catalogue: bool,
     id_space: str,
     noise: Noise,
     verdict: Verdict,
@@ -120,7 +144,7 @@ def _global_submap(
     r, c = normal.triangle()
     in_r = catalogue.rows(ids)
     others = np.setdiff1d(np.arange(len(catalogue.ids)), in_r)
-    rows = np.concatenate([in_r, others if config.catalogue else others[:0]])
+    rows = np.concatenate([in_r, others if has_catalogue else others[:0]])
     price = verdict.a_tilde - float(c @ c)
     a2 = float(noise.weights @ [submap.a**2 for submap in submaps]) + max(price, 0.0)
     sources: set[Source] = {source for submap in submaps for source in submap.sources}

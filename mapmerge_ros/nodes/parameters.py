@@ -136,6 +136,14 @@ CONFIG_SETTINGS = (
         2700,
     ),
     Setting(
+        'max_bytes',
+        CONFIG.max_bytes,
+        'Largest global map that is sent; fewer landmarks stay compressed to keep it, and the '
+        'catalogue goes along if it leaves half of the bytes to them; 0: no limit.',
+        0,
+        128 * 2**20,
+    ),
+    Setting(
         'catalogue',
         CONFIG.catalogue,
         'Whether the global map carries the other landmarks, position and descriptor only.',

@@ -4,7 +4,12 @@
 
 from mapmerge_ros.submap.descriptors import Descriptors, DescriptorType
 from mapmerge_ros.submap.request import Request
-from mapmerge_ros.submap.size import catalogue_bytes, information_bytes, most_landmarks
+from mapmerge_ros.submap.size import (
+    catalogue_bytes,
+    information_bytes,
+    most_landmarks,
+    most_within,
+)
 from mapmerge_ros.submap.submap import (
     Source,
     SubMap,
@@ -34,6 +39,7 @@ __all__ = [
     'factor_root',
     'information_bytes',
     'most_landmarks',
+    'most_within',
     'pack',
     'packed_size',
     'symmetric_from_upper',

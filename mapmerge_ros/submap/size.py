@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
-from mapmerge_ros.submap.submap import SubMap
+from mapmerge_ros.submap.submap import Source, SubMap
 
 FIXED_BYTES = 512
 """Numbers, lengths and alignment of all fields that do not grow."""
@@ -30,21 +31,35 @@ def most_landmarks(submap: SubMap, max_bytes: int, *, catalogue: bool = True) ->
 
     `catalogue` says whether the others go along, as in `compress`.
     """
-    # information_bytes is 18 m² + 18 m; without a catalogue each landmark brings its own bytes.
-    fixed = catalogue_bytes(submap) if catalogue else _head_bytes(submap)
-    linear = 18 if catalogue else 18 + _landmark_bytes(submap)
-    room = max(max_bytes - fixed, 0)
-    most = (math.isqrt(linear**2 + 72 * room) - linear) // 36
+    if catalogue:
+        most = most_within(max_bytes - catalogue_bytes(submap))
+    else:
+        most = most_within(max_bytes - _head_bytes(submap), _landmark_bytes(submap))
     return min(most, len(submap.landmark_ids))
+
+
+def most_within(room_bytes: int, each_bytes: int = 0) -> int:
+    """How many landmarks have R, c and `each_bytes` more of their own in `room_bytes`."""
+    # information_bytes is 18 m² + 18 m.
+    linear = 18 + each_bytes
+    return (math.isqrt(linear**2 + 72 * max(room_bytes, 0)) - linear) // 36
+
+
+def head_bytes(names: Iterable[str], leaves: Iterable[Source]) -> int:
+    """Upper bound of all that does not grow with the landmarks [byte]."""
+    texts = sum(len(name.encode()) for name in names)
+    return FIXED_BYTES + texts + sum(len(x.map_id.encode()) + SOURCE_BYTES for x in leaves)
+
+
+def landmark_bytes(has_covariances: bool, descriptor_size: int) -> int:
+    """Id, position, covariance and descriptor of one landmark [byte]."""
+    return 8 + 24 + (24 if has_covariances else 0) + descriptor_size
 
 
 def _head_bytes(submap: SubMap) -> int:
     names = (submap.map_id, submap.robot_id, submap.frame_id, submap.id_space)
-    texts = sum(len(name.encode()) for name in names)
-    leaves = sum(len(source.map_id.encode()) + SOURCE_BYTES for source in submap.sources)
-    return FIXED_BYTES + texts + leaves
+    return head_bytes(names, submap.sources)
 
 
 def _landmark_bytes(submap: SubMap) -> int:
-    """Id, position, covariance and descriptor of one landmark."""
-    return 8 + 24 + (0 if submap.covariances is None else 24) + submap.descriptors.size
+    return landmark_bytes(submap.covariances is not None, submap.descriptors.size)
