@@ -79,6 +79,7 @@ class Observer(Node):
             SubMapMessage, f'{fusion_node}/global_map', heard.take_map, LATCHED_PROFILE, raw=True
         )
         self._fusion_node = fusion_node
+        self._clients_by_name: dict[str, Any] = {}
         self._senders: dict[tuple[str, bool, bool], Any] = {}
         self.diagnostics: dict[str, tuple[bytes, str, dict[str, str]]] = {}
         """Name to level, message and values"""
@@ -131,7 +132,11 @@ class Observer(Node):
     def call(
         self, service: type[Any], name: str, others: Sequence[Any] = (), **fields: Any
     ) -> Any:
-        client = self.create_client(service, f'{self._fusion_node}/{name}')
+        # A new client may miss its first answer: one for each service.
+        if name not in self._clients_by_name:
+            path = f'{self._fusion_node}/{name}'
+            self._clients_by_name[name] = self.create_client(service, path)
+        client = self._clients_by_name[name]
         nodes = [self, *others]
         spin_until(nodes, client.service_is_ready, f'service {name}')
         # An answer may be lost where a node has just come, or a dead one is still believed in.
@@ -146,9 +151,7 @@ class Observer(Node):
             return next((future for future in futures if future.done()), None)
 
         spin_until(nodes, answered, f'answer of {name}')
-        answer = answered()
-        self.destroy_client(client)
-        return answer.result()
+        return answered().result()
 
     def merge_now(self, others: Sequence[Any] = ()) -> Any:
         """Ask for a merge; the answer of the service."""
