@@ -28,7 +28,7 @@ ENOUGH = 8
 Landmarks that hold a pair of the spanning forest together, where it has them.
 
 Twice the four of `min_shared`: half of them may be wrong or lost. Fair shares of whole budgets
-for every pair cost accuracy: on Caliterra a third more error than landmarks drawn by lot.
+for every pair cost accuracy: on Caliterra a quarter more error than landmarks drawn by lot.
 """
 
 
