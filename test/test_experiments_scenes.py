@@ -52,14 +52,32 @@ def test_parts_share_landmarks_and_no_image():
     for part in parts:
         rows = part.observation_keyframes, part.observation_points
         assert np.bincount(rows[1]).min() >= 2
-        keys = set(zip(*(own.tolist() for own in (
-            part.keyframe_ids[rows[0]], part.point_ids[rows[1]], part.observations_px[:, 0]
-        )), strict=True))
-        whole = set(zip(*(own.tolist() for own in (
-            bundle.keyframe_ids[bundle.observation_keyframes],
-            bundle.point_ids[bundle.observation_points],
-            bundle.observations_px[:, 0],
-        )), strict=True))
+        keys = set(
+            zip(
+                *(
+                    own.tolist()
+                    for own in (
+                        part.keyframe_ids[rows[0]],
+                        part.point_ids[rows[1]],
+                        part.observations_px[:, 0],
+                    )
+                ),
+                strict=True,
+            )
+        )
+        whole = set(
+            zip(
+                *(
+                    own.tolist()
+                    for own in (
+                        bundle.keyframe_ids[bundle.observation_keyframes],
+                        bundle.point_ids[bundle.observation_points],
+                        bundle.observations_px[:, 0],
+                    )
+                ),
+                strict=True,
+            )
+        )
         assert keys <= whole
 
 

@@ -353,5 +353,3 @@ def test_comparison_is_that_of_shared_unmoved_landmarks(fusion: Fusion) -> None:
                 landmark_ids=np.arange(len(fusion.components[0].landmarks.ids)) + 10**6,
             ),
         )
-
-

@@ -24,6 +24,7 @@ from mapmerge_ros.fusion.covariance_model import (
     TEXTBOOK,
     CovarianceModel,
     Fitted,
+    as_known,
     fit_model,
     model_sensitivity,
     settled,
@@ -37,7 +38,6 @@ from mapmerge_ros.fusion.objects import (
 )
 from mapmerge_ros.fusion.quadratic import Quadratic
 from mapmerge_ros.fusion.tails import GAUSSIAN, are_gaussian
-from mapmerge_ros.geometry import scene_radius
 
 MIN_CONTRASTS, MAX_CONTRASTS = 50, 600
 """
@@ -81,6 +81,13 @@ Merged landmarks up to which single ones are tested and objects looked for.
 Beyond, dense algebra takes longer than the merge is worth; the price is tested on a sample.
 """
 
+MAX_REFITS = 3
+"""
+Fits with other objects off, until these are those that stand under the fit; one is usual.
+
+A model in which an object had no say that is none any more would be too narrow for the rest.
+"""
+
 MEDIAN_CHI2 = float(scipy.stats.chi2.median(3))
 
 
@@ -120,13 +127,20 @@ class Examination:
     """
 
 
-def examine(merge: Quadratic, redundancy: float, *, certain: bool) -> Examination:
+def examine(
+    merge: Quadratic,
+    redundancy: float,
+    *,
+    certain: bool,
+    known: CovarianceModel | None = None,
+) -> Examination:
     """
     Examine a merge at its optimum.
 
     `redundancy` is that of an estimated σ (inf: known). Without `certain` geometry (a rotation
     between sub-maps weakly determined, no convergence) an excess may be a wrong basin, and only
-    the textbook test is believed.
+    the textbook test is believed. `known` is the model of the same sub-maps, fitted before the
+    worst of their landmarks were taken out.
 
     Raises
     ------
@@ -148,7 +162,7 @@ def examine(merge: Quadratic, redundancy: float, *, certain: bool) -> Examinatio
     if not (certain and enough) or (gaussian and plain.p_value >= TESTED_FIRST):
         return _with_doubtful(plain, state) if state and certain else plain
     try:
-        found = _under_model(merge, state, plain.objects)
+        found = _under_model(merge, state, plain.objects, known)
         return replace(found, textbook_tests=plain.textbook_tests)
     except (DegenerateGeometry, np.linalg.LinAlgError):
         return plain  # so far off that no covariance describes it
@@ -180,20 +194,20 @@ def _under_model(
     merge: Quadratic,
     textbook: Sensitivity | None,
     suspects: tuple[MovedObject, ...],
+    known: CovarianceModel | None,
 ) -> Examination:
     data = contrasts(merge, MAX_CONTRASTS, members_of(suspects))
-    radii = MAX_OMEGA_RADII * scene_radius(merge.points) / data.unit
-    highest = np.array([MAX_PHI, MAX_TAU_UNITS**2, radii**2])
-    fitted = _fit(data, highest, members_of(suspects))
+    fitted = _fit(data, members_of(suspects), known)
     if textbook is None:
         return _judged(fitted, np.inf)
-    state = _state(merge, data, textbook, fitted)
-    objects = confirmed(state, merge.points, suspects, fitted.model)
-    if set(members_of(objects)) != set(members_of(suspects)):
+    objects, state = suspects, _state(merge, data, textbook, fitted)
+    for _ in range(MAX_REFITS):
+        before, objects = objects, confirmed(state, merge.points, objects, fitted.model)
+        if set(members_of(objects)) == set(members_of(before)):
+            break
         # from the start: variances that were fitted with half of the warp unlocked mislead
-        fitted = _fit(data, highest, members_of(objects))
+        fitted = _fit(data, members_of(objects), known)
         state = _state(merge, data, textbook, fitted)
-        objects = confirmed(state, merge.points, objects, fitted.model)
     moved = members_of(objects)
     tests = conditional_tests(state, np.union1d(moved, fitted.aside))
     p_values = fitted.model.tails.p_value(tests.statistic, state.redundancy)
@@ -207,8 +221,11 @@ def _under_model(
     )
 
 
-def _fit(data: Contrasts, highest: Floats, moved: Ints) -> Fitted:
-    fitted = fit_model(data, highest, moved)
+def _fit(data: Contrasts, moved: Ints, known: CovarianceModel | None) -> Fitted:
+    if known is not None:
+        return as_known(data, known, moved)
+    most_omega = MAX_OMEGA_RADII * data.radius / data.unit
+    fitted = fit_model(data, np.array([MAX_PHI, MAX_TAU_UNITS**2, most_omega**2]), moved)
     if fitted.gain >= MIN_GAIN:
         return fitted
     plain = settled(data, TEXTBOOK, moved, np.zeros(0, np.int64))

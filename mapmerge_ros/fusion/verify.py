@@ -12,6 +12,7 @@ import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.covariance_model import CovarianceModel
 from mapmerge_ros.fusion.honest import (
     MAX_TRACKS,
     TESTED_FIRST,
@@ -100,13 +101,15 @@ def verify_merge(
     dof: int,
     noise: Noise,
     config: FusionConfig,
+    known: CovarianceModel | None = None,
 ) -> tuple[Verdict, Examination | None]:
     """
     Test a merge, with the errors that maps of real cameras have where the textbook refuses.
 
     `reduced` is the cost of the shared landmarks, as merged. What the textbook accepts
     stays accepted, with its own p-value, unless its landmarks are not Gaussian; what moved
-    together is refused as long as it is merged.
+    together is refused as long as it is merged. `known` are the errors of these sub-maps, if
+    something has been taken out of their merge already.
     """
     textbook = verify(estimate.cost, dof, noise, config)
     if dof <= 0:
@@ -116,7 +119,7 @@ def verify_merge(
         return textbook, by_textbook(estimate.cost / noise.sigma**2, dof, redundancy)
     certain = estimate.converged and is_certain(links, len(reduced))
     merge = quadratic(reduced.elements(), estimate.points, gauge, noise.sigma)
-    found = examine(merge, redundancy, certain=certain)
+    found = examine(merge, redundancy, certain=certain, known=known)
     return _judged(textbook, found, merge, config), found
 
 
