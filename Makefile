@@ -7,12 +7,12 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test check unit colcon readme install install-test bag clean
+.PHONY: demo test check unit colcon docs interfaces readme install install-test bag clean
 
 demo: install
 	$(BIN)/mapmerge demo --out out/demo
 
-test: check unit readme colcon
+test: check unit readme docs colcon
 
 check: install-test
 	$(BIN)/ruff check .
@@ -24,13 +24,28 @@ unit: install-test
 readme: install-test
 	$(BIN)/python test/run_readme.py README.md
 
-# The interface package as a ROS workspace would build it, beside the pip build of the .venv.
+# The site, in build/docs; every warning is an error.
+docs: $(VENV)/.documented
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
+
+# The page of all topics, services and parameters, from the nodes themselves.
+interfaces: install-test
+	$(BIN)/python docs/generate_interfaces.py
+
+# Both packages as a ROS workspace builds and checks them, beside the pip build of the .venv. Of the
+# tests only the linters: `unit` has run all of them.
+COLCON := build/colcon
 colcon: $(VENV)/.colcon
-	. $(BIN)/activate && $(BIN)/colcon --log-base build/colcon/log build \
-	    --base-paths . msg_schemas --build-base build/colcon/build \
-	    --install-base build/colcon/install --event-handlers console_direct-
-	. $(BIN)/activate && . build/colcon/install/setup.sh && \
-	    $(BIN)/python test/check_workspace.py build/colcon/install
+	. $(BIN)/activate && $(BIN)/colcon --log-base $(COLCON)/log build \
+	    --base-paths . msg_schemas --build-base $(COLCON)/build \
+	    --install-base $(COLCON)/install --event-handlers console_direct-
+	. $(BIN)/activate && . $(COLCON)/install/setup.sh && \
+	    $(BIN)/python test/check_workspace.py $(COLCON)/install
+	. $(BIN)/activate && $(BIN)/colcon --log-base $(COLCON)/log test \
+	    --base-paths . msg_schemas --build-base $(COLCON)/build \
+	    --install-base $(COLCON)/install --event-handlers console_direct- \
+	    --pytest-args -m linter --return-code-on-test-failure
+	$(BIN)/colcon --log-base $(COLCON)/log test-result --all --test-result-base $(COLCON)/build
 
 install: $(VENV)/.installed
 install-test: $(VENV)/.tested
@@ -39,7 +54,7 @@ $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
 # The package index is the only thing that is needed from outside.
-$(VENV)/.installed: setup.py pyproject.toml $(wildcard msg_schemas/*/*.??? msg_schemas/*.*) | $(VENV)/bin/python
+$(VENV)/.installed: setup.py pyproject.toml $(wildcard msg_schemas/*/*.* msg_schemas/*.*) | $(VENV)/bin/python
 	@echo 'installing into $(VENV): about two minutes'
 	$(PIP) install -e '.[colmap,ros]' ./msg_schemas
 	@touch $@
@@ -48,8 +63,12 @@ $(VENV)/.tested: $(VENV)/.installed $(wildcard test/interfaces/*/*.*)
 	$(PIP) install -e '.[colmap,experiments,ros,test]' ./test/interfaces/tf2_msgs
 	@touch $@
 
-$(VENV)/.colcon: $(VENV)/.installed msg_schemas/requirements-colcon.txt
+$(VENV)/.colcon: $(VENV)/.tested msg_schemas/requirements-colcon.txt
 	$(PIP) install -r msg_schemas/requirements-colcon.txt
+	@touch $@
+
+$(VENV)/.documented: $(VENV)/.installed
+	$(PIP) install -e '.[docs]'
 	@touch $@
 
 # The shipped recording and its truth; bags/README.md says what is in it.

@@ -25,7 +25,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
-        (f'share/{package_name}/config', files('config', '*.yaml')),
+        (f'share/{package_name}/config', files('config', '*.*')),
         (f'share/{package_name}/launch', files('launch', '*.launch.py')),
         (f'share/{package_name}/rviz', files('rviz', 'fusion.*')),
     ],
@@ -42,14 +42,26 @@ setup(
     ],
     extras_require={
         'colmap': ['pycolmap>=4.2'],
+        'docs': ['myst-parser>=3', 'sphinx>=7'],
         'experiments': ['matplotlib>=3.7', 'pycolmap>=4.2'],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': [
+            'catkin-pkg',
             'mcap-ros2-support>=0.5',
             'mypy>=1.11',
             'pytest>=8',
             'ruff>=0.6',
             'scipy-stubs',
+            # The linters of ROS 2 Jazzy and what they check with; ament_copyright and
+            # ament_xmllint are not on the package index.
+            'flake8-builtins',
+            'flake8-comprehensions',
+            'flake8-docstrings',
+            'flake8-import-order',
+            'flake8-quotes',
+            'ros-ament-flake8==0.17.3',
+            'ros-ament-lint==0.17.3',
+            'ros-ament-pep257==0.17.3',
         ],
     },
     zip_safe=False,

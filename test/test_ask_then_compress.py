@@ -11,7 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_processes import FUSION, REMEDY, Observer, SubMapMessage, spin_for, spin_until
+from ros_processes import (
+    FUSION,
+    PATIENCE_S,
+    REMEDY,
+    Observer,
+    SubMapMessage,
+    spin_for,
+    spin_until,
+)
 
 from mapmerge_ros.bundle import compress
 from mapmerge_ros.cli.main import main
@@ -98,7 +106,7 @@ def test_robots_announce_then_compress_what_a_late_node_asks_for(
     assert sent(observer) == asked + 1, 'the others have what it needs'
     assert again.poll() is None
     assert children.ended() == ''
-    assert set(children.stop().values()) == {0}
+    assert set(children.stop(PATIENCE_S).values()) == {0}
 
 
 def assert_map_is_true(observer: Observer, fleet: Fleet) -> None:

@@ -168,7 +168,8 @@ def test_a_map_that_is_wrong_as_a_whole_is_not_explained_away():
     )
     submaps[1] = replace(submaps[1], points=points)
     fusion = fuse(submaps)
-    assert not fusion.verdict.accepted
+    assert [item.submap.map_id for item in fusion.quarantined] == [submaps[1].map_id]
+    assert not fuse(submaps, FusionConfig(unlock=False)).verdict.accepted
 
 
 def test_the_summary_lists_changes():

@@ -9,9 +9,10 @@ from gaussian_merges import draw, merged, noise, scene
 
 from mapmerge_ros.fusion.contrasts import contrasts, matern
 from mapmerge_ros.fusion.covariance_model import COARSE_CONTRASTS, TEXTBOOK, fit_model
-from mapmerge_ros.fusion.honest import MAX_CONTRASTS, MAX_OMEGA_RADII, examine
+from mapmerge_ros.fusion.honest import MAX_CONTRASTS, examine
 from mapmerge_ros.fusion.likelihood import derivatives, weigh
 from mapmerge_ros.fusion.local import local_tests, sensitivity
+from mapmerge_ros.fusion.plausible import MAX_OMEGA_RADII
 from mapmerge_ros.fusion.quadratic import Members
 from mapmerge_ros.fusion.tails import are_gaussian, fit_tails
 from mapmerge_ros.geometry import Gauge, generators, scene_radius

@@ -7,9 +7,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +16,13 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from mapmerge_ros.bundle import MapName, compress
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion import Fusion, fuse
-from mapmerge_ros.geometry import Gauge, Similarity
+from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.io import OutputError, encode_submap
-from mapmerge_ros.io.drawing import density, top_view
 from mapmerge_ros.io.exports import global_map_mcap, global_map_ply, landmarks_csv, write_files
 from mapmerge_ros.io.map_points import SEVERAL, map_points
 from mapmerge_ros.io.palette import SHARED, colours
-from mapmerge_ros.io.report import report_html
 from mapmerge_ros.io.summary import Refused, Traffic, summarise, summary_json
 from mapmerge_ros.io.truth import (
     RecordingTruth,
@@ -38,9 +33,8 @@ from mapmerge_ros.io.truth import (
     load_truth,
     save_truth,
 )
-from mapmerge_ros.submap import SubMap
 
-from scenes import random_bundle  # isort: skip
+from reported import SHARED_COUNT, submaps  # isort: skip
 
 SUMMARY_KEYS = {
     'sub_maps', 'test', 'changes', 'components', 'pairs', 'matches', 'timing_s',
@@ -51,20 +45,6 @@ SUB_MAP_KEYS = {
     'global_from_map',
 }  # fmt: skip
 TEST_KEYS = {'a_tilde', 'dof', 'sigma', 'variance_factor', 'p_value', 'accepted'}
-SHARED_COUNT = 14
-
-
-def submaps(gauge: Gauge = Gauge.SIMILARITY) -> list[SubMap]:
-    """Two maps of one scene, one of somewhere else and one that is only announced."""
-    rng = np.random.default_rng(8)
-    made = []
-    for k, space in enumerate(('site', 'site', 'far', 'site')):
-        bundle = random_bundle(seed=0, gauge=gauge, noise_px=0.3)
-        frame = Similarity.exp(0.2 * rng.normal(size=7) * (gauge is Gauge.SIMILARITY))
-        name = MapName(f'r{k}/0001', f'r{k}', k + 1, k, id_space=space)
-        ids = np.sort(bundle.point_ids)[: SHARED_COUNT + k if k < 3 else 0]
-        made.append(compress(bundle.transformed(frame), name, ids))
-    return made
 
 
 @pytest.fixture(scope='module')
@@ -196,7 +176,6 @@ def test_empty_fusion_gives_empty_files(nothing: Fusion) -> None:
     assert landmarks_csv(nothing).count(b'\n') == 1
     assert len(vertices(global_map_ply(nothing))[1]) == 0
     assert list(make_reader(io.BytesIO(global_map_mcap(nothing))).iter_messages()) == []
-    assert b'only one sub-map' in report_html(nothing, summarise(nothing), 'bag')
 
 
 def test_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
@@ -208,89 +187,6 @@ def test_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match='b: is a folder'):
         write_files(tmp_path, {'a': b'1', 'b': b'2'})
     assert [path.name for path in tmp_path.iterdir()] == ['b']
-
-
-class Page(HTMLParser):
-    """Checks that tags match; collects text and where the page reaches out to."""
-
-    def __init__(self, html: bytes) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.text: list[str] = []
-        self.outside: list[str] = []
-        self.feed(html.decode())
-        assert not self.open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.outside += [value or '' for key, value in attrs if key in ('src', 'href')]
-        if tag not in ('meta', 'link', 'br'):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        pass
-
-    def handle_data(self, data: str) -> None:
-        self.text.append(data)
-
-
-def test_report_is_one_whole_page_that_says_the_verdict(fusion: Fusion) -> None:
-    html = report_html(fusion, summarise(fusion), 'a <b> & c.mcap')
-    page = Page(html)
-    text = ' '.join(' '.join(page.text).split())
-    assert page.outside == []
-    assert b'<script' not in html
-    assert b'url(' not in html
-    assert 'a <b> & c.mcap' in text
-    assert '2 of 4 sub-maps were merged into one map' in text
-    assert 'The test believes it' in text
-    assert 'r3/0001 stays apart: an announcement' in text
-    assert 'not metres' in text
-
-
-def test_report_escapes_names_from_outside() -> None:
-    evil = replace(submaps()[0], map_id='<script>x', sources=submaps()[0].sources)
-    found = fuse([evil, submaps()[1]])
-    assert b'<script' not in report_html(found, summarise(found), 'bag')
-
-
-def test_drawing_stays_small_and_deterministic(fusion: Fusion) -> None:
-    rng = np.random.default_rng(0)
-    n = 50_000
-    points = replace(
-        map_points(fusion),
-        points_global=rng.normal(size=(n, 3)) * [1.0, 1e3, 10.0],
-        owners=rng.integers(-1, 2, n),
-        views=np.ones(n, int),
-        landmark_count=100,
-    )
-    drawn = top_view(points, Gauge.SIMILARITY)
-    assert drawn == top_view(points, Gauge.SIMILARITY)
-    assert len(drawn) < 150_000
-    assert '</text>' not in drawn
-    assert re.search(r'>\d+ m</text>', top_view(points, Gauge.RIGID))
-
-
-def test_drawing_survives_one_point_and_lines(fusion: Fusion) -> None:
-    whole = map_points(fusion)
-    for flat in (np.zeros((len(whole), 3)), np.outer(np.arange(len(whole)), [1.0, 0, 0])):
-        for gauge in Gauge:
-            drawn = top_view(replace(whole, points_global=flat), gauge)
-            assert 'nan' not in drawn
-            assert 'inf' not in drawn
-
-
-def test_density_marks_the_verdict(fusion: Fusion) -> None:
-    verdict = fusion.verdict
-    assert 'class="good"' in density(verdict, 0)
-    refused = density(replace(verdict, variance_factor=900.0, accepted=False), 50)
-    assert 'class="bad"' in refused
-    assert '→' in refused
-    assert density(replace(verdict, dof=0), 0) == ''
-    for dof in (1, 2, 100_000):
-        assert 'nan' not in density(replace(verdict, dof=dof), 3)
 
 
 def truth_of(fusion: Fusion, shift: float = 0.0) -> RecordingTruth:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_processes import FUSION, ROBOT, MergeNow, Observer, spin_until
+from ros_processes import FUSION, PATIENCE_S, ROBOT, Observer, spin_until
 
 from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.fusion import Fusion, FusionConfig, fuse
@@ -72,6 +72,8 @@ def assert_equal_to_replay(observer: Observer, expected: Fusion) -> None:
 def test_late_node_and_late_listener_get_what_the_replay_finds(
     children: Children, observer: Observer, drones_recording: Path, drones: tuple[SubMap, ...]
 ) -> None:
+    from mapmerge_msgs.msg import ChangeArray
+
     for robot_id in sorted({submap.robot_id for submap in drones}):
         values = {'recording': str(drones_recording), 'robot_id': robot_id, 'rate': 0}
         children.start(robot_id, ROBOT, values)
@@ -86,7 +88,7 @@ def test_late_node_and_late_listener_get_what_the_replay_finds(
         lambda: observer.node_values.get('sub_maps') == str(len(drones)),
         'the node has what was sent before it was there',
     )
-    response = observer.call(MergeNow, 'merge_now')
+    response = observer.merge_now()
     spin_until([observer], lambda: observer.heard.is_complete, 'the result')
     expected = fuse(drones, FusionConfig(map_id='fusion_node/global'))
     assert response.result == 0
@@ -94,12 +96,16 @@ def test_late_node_and_late_listener_get_what_the_replay_finds(
     assert_equal_to_replay(observer, expected)
 
     late = Observer(name='late')
-    spin_until([late], lambda: late.heard.is_complete, 'the latest map for a late listener')
+    changes = late.latest(ChangeArray, '/fusion_node/changes')
+    spin_until(
+        [late], lambda: late.heard.is_complete and changes, 'the latest for a late listener'
+    )
+    assert changes['message'].header.stamp == late.heard.status.header.stamp
     assert encode_submap(late.heard.global_map) == encode_submap(observer.heard.global_map)
     late.destroy_node()
 
     assert children.ended() == ''
-    codes = children.stop()
+    codes = children.stop(PATIENCE_S)
     assert set(codes.values()) == {0}, codes
     for name in codes:
         assert 'Traceback' not in children.log(name).read_text()

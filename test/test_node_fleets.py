@@ -4,16 +4,20 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from ros_processes import FUSION, Observer, spin_until
+from ros_processes import FUSION, ROBOT, Observer, spin_until
 from scenes import random_bundle
 
 from mapmerge_ros.bundle import MapName, compress
 from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.fusion import FusionConfig, fuse
 from mapmerge_ros.geometry import Similarity, align
+from mapmerge_ros.io import write_submaps
 from mapmerge_ros.submap import Source, SubMap
 
 S = 1_000_000_000
@@ -46,40 +50,59 @@ def assert_same_map(observer: Observer, submaps: list[SubMap]) -> None:
     np.testing.assert_allclose(moved, found.points, rtol=1e-5, atol=1e-5)
 
 
-def test_robots_come_leave_and_begin_again(children: Children, observer: Observer) -> None:
+def test_robots_come_leave_and_begin_again(
+    children: Children, observer: Observer, tmp_path: Path
+) -> None:
     values = {'merge_period': 0.2, 'robot_timeout': 0.5, 'ask': False}
     children.start('fusion', FUSION, values)
     robots = [submap_of(0, k, revision=5, stamp_ns=k * S) for k in range(8)]
-    for k in np.random.default_rng(0).permutation(8):
-        observer.send(f'/d{k}/submap', robots[k])
+    site = recorded(tmp_path / 'site.mcap', robots)
+    processes = {k: play(children, site, k) for k in np.random.default_rng(0).permutation(8)}
     spin_until([observer], lambda: observer.merged == 8, 'all eight')
 
-    observer.leave('/d2/submap')
-    observer.leave('/d6/submap')
-    spin_until(
-        [observer],
-        lambda: observer.node_values.get('robots_stale') == '2',
-        'two of them are stale',
-    )
-    level, text, _ = observer.diagnostics['/fusion_node: robot d2']
-    assert (level, text.startswith('left ')) == (b'\3', True)
-    assert observer.diagnostics['/fusion_node: robot d1'][0] == b'\0'
-
-    # It plays its recording again: nothing in there is newer than what is known.
+    for k in (2, 6):
+        processes[k].send_signal(signal.SIGKILL)
+    for k in (3, 4):
+        processes[k].terminate()
+        assert processes[k].wait(10) == 0
+    # One plays its recording again: nothing in there is newer than what is known.
     old = replace(robots[3], revision=4, sources=(Source('d3/0', 4),), stamp_ns=0)
-    observer.send('/d3/submap', old)
-    # It counts anew, and has seen more since.
+    # The other counts anew, and has seen more since.
     anew = submap_of(0, 4, revision=1, stamp_ns=100 * S, noise=1)
-    observer.send('/d4/submap', anew)
+    again = recorded(tmp_path / 'again.mcap', [old, anew])
+    lives = [play(children, again, k, 'again') for k in (3, 4)]
     spin_until(
         [observer],
         lambda: held(observer).get('d4/0') == 1 and observer.merged == 8,
         'the map of the new life',
     )
+    spin_until(
+        [observer],
+        lambda: (
+            observer.node_values.get('robots_stale') == '2'
+            and observer.node_values.get('messages_ignored') == '1'
+        ),
+        'two of them are stale, and the old revision is ignored',
+    )
+    level, text, _ = observer.diagnostics['/fusion_node: robot d2']
+    assert (level, text.startswith('left ')) == (b'\3', True)
+    assert observer.diagnostics['/fusion_node: robot d1'][0] == b'\0'
     assert held(observer) == {f'd{k}/0': 1 if k == 4 else 5 for k in range(8)}
     assert_same_map(observer, [*robots[:4], anew, *robots[5:]])
     assert 'd4/0 begins again with revision 1' in children.log('fusion').read_text()
-    assert children.ended() == ''
+    assert all(process.poll() is None for process in lives)
+
+
+def recorded(path: Path, submaps: list[SubMap]) -> Path:
+    """Recording of sub-maps, each on the topic of its robot."""
+    write_submaps(path, [(f'/{x.robot_id}/submap', x.stamp_ns, x) for x in submaps])
+    return path
+
+
+def play(children: Children, recording: Path, robot: int, life: str = 'first') -> Any:
+    """A robot of a recording, as a process."""
+    values = {'recording': str(recording), 'robot_id': f'd{robot}', 'rate': 0}
+    return children.start(f'd{robot}_{life}', ROBOT, values)
 
 
 def test_two_fleets_on_one_network_do_not_hear_each_other(

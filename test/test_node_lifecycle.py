@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from ros_processes import FUSION, REMEDY, Observer, spin_for, spin_until
+from ros_processes import FUSION, PATIENCE_S, REMEDY, Observer, spin_for, spin_until
 
 from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.submap import SubMap
@@ -37,7 +37,7 @@ def test_a_manager_brings_it_up_and_down(
     assert state(observer) == 'unconfigured'
     assert change(observer, 'configure')
     assert state(observer) == 'inactive'
-    answer = observer.call(srv.MergeNow, 'merge_now')
+    answer = observer.merge_now()
     assert answer.result == srv.MergeNow.Response.RESULT_NOT_ACTIVE
     spin_until([observer], lambda: observer.node_values.get('mode') == 'inactive', 'it tells')
     assert observer.heard_by('/submaps') == 0
@@ -73,7 +73,7 @@ def test_a_manager_brings_it_up_and_down(
     assert change(observer, 'deactivate')
     assert change(observer, 'cleanup')
     assert children.ended() == ''
-    assert set(children.stop().values()) == {0}
+    assert set(children.stop(PATIENCE_S).values()) == {0}
     assert 'Traceback' not in children.log('fusion').read_text()
 
 

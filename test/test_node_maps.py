@@ -27,7 +27,7 @@ def test_maps_can_be_removed_and_all_forgotten(
 
     node, observer = nodes
     codes = RemoveMap.Response
-    answer = observer.call(MergeNow, 'merge_now', nodes)
+    answer = observer.merge_now(nodes)
     assert answer.result == MergeNow.Response.RESULT_NOTHING_TO_MERGE
     for submap in drones:
         observer.send('/submaps', submap)
@@ -44,11 +44,11 @@ def test_maps_can_be_removed_and_all_forgotten(
     assert remove(map_id=first.map_id, robot_id=second.robot_id)[1] == 0
     assert remove(map_id=first.map_id) == (codes.RESULT_SUCCESS, 1)
     assert remove(robot_id=second.robot_id) == (codes.RESULT_SUCCESS, 1)
-    assert observer.call(MergeNow, 'merge_now', nodes).status.sub_maps == len(drones) - 2
+    assert observer.merge_now(nodes).status.sub_maps == len(drones) - 2
 
     answer = observer.call(Trigger, 'reset', nodes)
     assert (answer.success, answer.message) == (True, f'{len(drones) - 2} sub-maps forgotten')
-    answer = observer.call(MergeNow, 'merge_now', nodes)
+    answer = observer.merge_now(nodes)
     assert answer.result == MergeNow.Response.RESULT_NOTHING_TO_MERGE
     observer.send('/submaps', first)
     spin_until(nodes, lambda: set(node.session.ledger.maps) == {first.map_id}, 'it may come again')

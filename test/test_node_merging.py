@@ -64,7 +64,7 @@ def test_a_failing_merge_is_seen_and_the_last_good_map_stays(
     for submap in drones[:2]:
         observer.send('/submaps', submap)
     spin_until(nodes, lambda: node.session.ledger.received == 2, 'two maps')
-    assert observer.call(MergeNow, 'merge_now', nodes).result == 0
+    assert observer.merge_now(nodes).result == 0
     spin_until(nodes, lambda: observer.heard.is_complete, 'the good map')
     first = observer.heard.status.revision
 
@@ -73,7 +73,7 @@ def test_a_failing_merge_is_seen_and_the_last_good_map_stays(
 
     with monkeypatch.context() as patch:
         patch.setattr(merge_loop, 'fuse', fail)
-        response = observer.call(MergeNow, 'merge_now', nodes)
+        response = observer.merge_now(nodes)
     assert response.result == MergeNow.Response.RESULT_MERGE_FAILED
     assert response.message == 'ZeroDivisionError: a bug'
     spin_until(
@@ -82,7 +82,7 @@ def test_a_failing_merge_is_seen_and_the_last_good_map_stays(
         'an error in the diagnostics',
     )
     assert observer.heard.status.revision == first
-    assert observer.call(MergeNow, 'merge_now', nodes).result == 0
+    assert observer.merge_now(nodes).result == 0
     spin_until(nodes, lambda: observer.heard.status.revision == first + 2, 'and it goes on')
 
 

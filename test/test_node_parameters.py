@@ -1,24 +1,41 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of the fusion node: described, checked, changed while it runs."""
+"""The parameters of the nodes: described, checked, changed while it runs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import pytest
-from ros_processes import FUSION, REMEDY, Observer, rclpy, spin_until
+from ros_processes import (
+    COMPRESSOR,
+    FUSION,
+    RECORDER,
+    REMEDY,
+    ROBOT,
+    SHIPPED,
+    Observer,
+    rclpy,
+    spin_until,
+)
 
 from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.fusion import FusionConfig
-from mapmerge_ros.nodes import parameters
+from mapmerge_ros.nodes import compressor_parameters, parameters, record_node, robot_node
 from mapmerge_ros.nodes.live_parameters import own_settings
+from mapmerge_ros.nodes.settings import Setting
 from mapmerge_ros.submap import SubMap
 
 lifecycle = pytest.importorskip('lifecycle_msgs.srv', reason=REMEDY)
 interfaces = pytest.importorskip('rcl_interfaces.srv', reason=REMEDY)
 srv = pytest.importorskip('mapmerge_msgs.srv', reason=REMEDY)
+
+
+EVERYWHERE = {'use_sim_time', 'start_type_description_service'}
+"""Parameters that rclpy gives to a node."""
 
 
 def change(observer: Observer, transition: str) -> bool:
@@ -28,23 +45,48 @@ def change(observer: Observer, transition: str) -> bool:
     return bool(answer.success)
 
 
+NODES: dict[str, tuple[str, Sequence[Setting], dict[str, Any]]] = {
+    'fusion_node': (FUSION, own_settings('/', 'fusion_node'), {}),
+    'compressor_node': (COMPRESSOR, compressor_parameters.SETTINGS, {}),
+    'robot_node': (ROBOT, robot_node.SETTINGS, {'recording': str(SHIPPED), 'robot_id': 'drone0'}),
+    'mapmerge_recorder': (RECORDER, record_node.SETTINGS, {'output': 'out.mcap'}),
+}
+"""Node to module, settings, and values that have to be given"""
+
+
+@pytest.mark.parametrize('name', NODES)
 def test_every_parameter_tells_what_it_means_and_what_it_may_be(
-    children: Children, observer: Observer
+    name: str,
+    children: Children,
+    observer: Observer,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    children.start('fusion', FUSION, {})
-    settings = own_settings('/', 'fusion_node')
+    monkeypatch.chdir(tmp_path)
+    module, settings, given = NODES[name]
+    children.start(name, module, given)
+    listener = Observer(f'/{name}', 'listener')
+    nodes = [observer]
+
+    def ask(kind: Any, service: str, **fields: Any) -> Any:
+        return listener.call(kind, service, nodes, **fields)
+
+    listed = ask(interfaces.ListParameters, 'list_parameters').result.names
     names = [setting.name for setting in settings]
-    found = observer.call(interfaces.DescribeParameters, 'describe_parameters', names=names)
-    values = observer.call(interfaces.GetParameters, 'get_parameters', names=names).values
+    assert set(listed) - EVERYWHERE == set(names)
+    found = ask(interfaces.DescribeParameters, 'describe_parameters', names=names)
+    values = ask(interfaces.GetParameters, 'get_parameters', names=names).values
+    listener.destroy_node()
     for setting, descriptor, value in zip(settings, found.descriptors, values, strict=True):
         assert descriptor.name == setting.name
         assert descriptor.description == setting.description
         assert setting.change.value in descriptor.additional_constraints
         ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
-        assert bool(ranges) == (setting.low != setting.high)
+        assert len(ranges) == (type(setting.default) in (int, float))
         for limits in ranges:
             assert (limits.from_value, limits.to_value) == (setting.low, setting.high)
-        assert rclpy.parameter.parameter_value_to_python(value) == setting.default
+        expected = given.get(setting.name, setting.default)
+        assert rclpy.parameter.parameter_value_to_python(value) == expected
 
 
 def test_parameters_change_where_that_makes_sense(
@@ -69,7 +111,7 @@ def test_parameters_change_where_that_makes_sense(
         observer.send('/submaps', submap)
     spin_until([observer], lambda: observer.node_values.get('sub_maps') == '2', 'two maps')
     assert put('min_shared', 1000) == ''
-    assert observer.call(srv.MergeNow, 'merge_now').status.merged == 0
+    assert observer.merge_now().status.merged == 0
     assert put('min_shared', 4) == ''
     assert put('merge_period', 0.1) == ''
     spin_until(

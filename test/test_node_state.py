@@ -103,7 +103,7 @@ def test_paused_it_receives_and_does_not_merge(
     spin_for([observer], 0.3)
     assert observer.heard.status is None
     assert observer.node_values['mode'] == 'paused'
-    assert observer.call(srv.MergeNow, 'merge_now').status.merged == 2
+    assert observer.merge_now().status.merged == 2
     assert observer.call(SetBool, 'pause', data=False).success
     observer.send('/submaps', drones[2])
     spin_until([observer], lambda: observer.merged == 3, 'it goes on')

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 import sys
 import types
 import xml.etree.ElementTree as Xml
@@ -22,6 +23,11 @@ from mapmerge_ros.nodes import compressor_parameters  # noqa: E402
 from mapmerge_ros.nodes.live_parameters import own_settings  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
+GIVEN = re.compile(
+    r'~/(describe|get|list|set)_parameter(s|_types|s_atomically)|~/get_type_description'
+    r'|~/(change|get)_state|~/get_(available_states|available_transitions|transition_graph)'
+)
+"""Services that rclpy gives to a node."""
 OWN = {'map_id', 'discovery_pattern'}
 """Their defaults are made of the name of the node."""
 
@@ -71,6 +77,20 @@ def leaves_of(tree: Any) -> list[str]:
     if isinstance(tree, str):
         return [tree]
     return [*leaves_of(tree['first']), *leaves_of(tree['second'])]
+
+
+def test_the_security_policy_allows_what_the_nodes_have_and_no_more() -> None:
+    page = (ROOT / 'docs' / 'interfaces.md').read_text()
+    every = {'/rosout', '/parameter_events', '/clock', '~/transition_event'}
+    profiles = list(Xml.parse(ROOT / 'config' / 'sros2_policy.xml').getroot().iter('profile'))
+    assert {profile.get('node') for profile in profiles} == {'fusion_node', 'compressor_node'}
+    for profile in profiles:
+        start = page.index(f'### Topics of {profile.get("node")}')
+        part = page[start : page.index('### Parameters', start)]
+        rows = set(re.findall(r'^\| `([^`]+)` \|', part, re.M))
+        allowed = {x.text or '' for kind in ('topic', 'service') for x in profile.iter(kind)}
+        robots = {name for name in allowed if re.fullmatch(r'/drone\d/submap', name)}
+        assert rows == {name for name in allowed - every - robots if not GIVEN.fullmatch(name)}
 
 
 def test_what_is_imported_is_declared() -> None:

@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_processes import FUSION, REMEDY, Observer, SubMapMessage, spin_for, spin_until
+from ros_processes import (
+    FUSION,
+    PATIENCE_S,
+    REMEDY,
+    Observer,
+    SubMapMessage,
+    spin_for,
+    spin_until,
+)
 from scenes import random_bundle
 
 from mapmerge_ros.bundle import Bundle, MapName
@@ -83,7 +91,7 @@ def test_paths_of_the_robots_are_those_of_the_full_bundle(
 ) -> None:
     heard, bundles = Heard(observer, ROBOTS), [bundle_of(k) for k in range(ROBOTS)]
     for k, named in enumerate(bundles):
-        values = {'robot_id': f'd{k}', 'relinearise_rounds': 8}
+        values = {'robot_id': f'd{k}', 'relinearise_rounds': 3}
         children.start(f'd{k}', COMPRESSOR, values, {'__ns': f'/d{k}'})
         heard.senders[f'd{k}'].publish(encode_bundle(named))
     children.start('fusion', FUSION, {'merge_period': 0.3, 'request_landmarks': 20})
@@ -111,7 +119,7 @@ def test_paths_of_the_robots_are_those_of_the_full_bundle(
         assert stamps == list(named.keyframe_stamps_ns)
         assert heard.clouds[f'd{k}'].width == len(named.bundle.point_ids)
     assert children.ended() == ''
-    assert set(children.stop().values()) == {0}
+    assert set(children.stop(PATIENCE_S).values()) == {0}
 
 
 def joint(heard: Heard, bundles: list[NamedBundle]) -> dict[str, Any]:

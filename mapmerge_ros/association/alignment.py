@@ -54,7 +54,7 @@ class Aligned:
 
     @property
     def inliers(self) -> Mask:
-        """(n,)"""
+        """Whether each is within the tolerance (n,)."""
         return self.distances <= self.tolerance
 
 

@@ -35,7 +35,7 @@ class Elimination:
     """(k,) rows of the bundle's points"""
 
     def steps(self, lin: Linearisation, shared_steps: Floats) -> tuple[Floats, Floats, Floats]:
-        """Best steps of poses (m, 6), points (n, 3) and lenses (l, 7) for shared steps (k, 3)."""
+        """Find best poses (m, 6), points (n, 3), lenses (l, 7) for shared points moved (k, 3)."""
         session_steps = self.session_by_shared @ shared_steps.ravel() + self.session_offset
         poses = 6 * len(lin.bundle.keyframe_ids)
         pose_steps = session_steps[:poses].reshape(-1, 6)

@@ -65,7 +65,7 @@ class Lens:
 
     @property
     def residuals_px(self) -> Floats:
-        """(7 l,) of the prior"""
+        """Residuals (7 l,) of the prior."""
         return self.weight * self.moved_px.ravel()
 
     def slots(self, cameras: Ints) -> Ints:

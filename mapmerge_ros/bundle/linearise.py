@@ -32,7 +32,7 @@ class Linearisation:
 
     @property
     def cost_px2(self) -> float:
-        """R'r"""
+        """Sum of all squared residuals, priors included."""
         known = self.known_residuals_px
         return float(np.sum(self.residuals_px**2) + known @ known)
 
@@ -43,14 +43,14 @@ class Linearisation:
 
     @property
     def known_rows(self) -> Floats:
-        """(7 - gauge + 7 l, 6m + 7 l) rows of both priors, on poses and lenses"""
+        """Rows (7 - gauge + 7 l, 6m + 7 l) of both priors, on poses and lenses."""
         lenses = self.bundle.lens.weight * np.eye(self.bundle.lens.size)
         rows: Floats = scipy.linalg.block_diag(self.prior_rows, lenses)
         return rows
 
     @property
     def known_residuals_px(self) -> Floats:
-        """(7 - gauge + 7 l,) residuals of both priors"""
+        """Residuals (7 - gauge + 7 l,) of both priors."""
         return np.concatenate([self.bundle.prior_residuals_px, self.bundle.lens.residuals_px])
 
     def moved(self, pose_steps: Floats, point_steps: Floats, lens_steps: Floats) -> Bundle:

@@ -63,10 +63,10 @@ def add_parser(subparsers: Subparsers) -> None:
         f'{DEFAULT_TRACKS}), or all',
     )
     add(
-        '--all-tracks',
+        '--good-tracks',
         action='store_true',
-        help='choose bad tracks as well, as with --id-space: those with larger residuals than two '
-        'thirds of their session, and than four of their twelve neighbours',
+        help='leave out points with larger residuals than two thirds of their session and than '
+        'four of their twelve neighbours, instead of taking them last',
     )
     add(
         '--lens-prior',
@@ -87,9 +87,7 @@ def run(args: argparse.Namespace) -> int:
     names = models.map_names(args)
     check_file(args.out, '.mcap')
     bundles = models.load(args)
-    chosen = choose(
-        bundles, names, wanted, args.max_landmarks, not (args.all_tracks or args.id_space)
-    )
+    chosen = choose(bundles, names, wanted, args.max_landmarks, args.good_tracks)
     bundles = [
         with_uncertain_lens(bundle, name, args.lens_prior)
         for bundle, name in zip(bundles, names, strict=True)
@@ -112,12 +110,12 @@ def choose(
     names: Sequence[MapName],
     wanted: str | int,
     cap: int,
-    good_only: bool = True,
+    good_only: bool = False,
 ) -> tuple[Ids, ...]:
     """Ids of the points to compress, per bundle."""
-    quality = TrackQuality() if good_only else None
+    quality = TrackQuality()
     if wanted == 'matched':
-        chosen = choose_for_bundles(bundles, names, cap, quality)
+        chosen = choose_for_bundles(bundles, names, cap, quality if good_only else None)
         if len(bundles) > 1 and not any(len(ids) for ids in chosen):
             console.warn(_NOTHING_COMMON)
         return chosen

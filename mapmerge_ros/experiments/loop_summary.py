@@ -97,7 +97,7 @@ def _figures(results: Results, scene: str) -> dict[str, str]:
         'mean RMSE of the successful [m]': f'{good.mean():.4f}' if len(good) else '-',
         'median distance to the full bundle [m]': f'{np.median(to_full):.4f}',
         'accepted': f'{results.share(accepted):.1%}',
-        'needed more than one start': f'{results.share(starts > 1):.1%}',
+        'needed more than two starts': f'{results.share(starts > 2):.1%}',
         f'wrong (> {WRONG:g} x full bundle)': f'{np.count_nonzero(wrong)}',
         'truth within the ellipsoid of R̄': f'{_covered(results, scene, "p_reported"):.1%}',
         'truth within the 99 % region of the cost': f'{_covered(results, scene, "p_cost"):.1%}',

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmerge_ros.fusion.outcome import Refusal
+from mapmerge_ros.fusion.refusal import Refusal
 from mapmerge_ros.submap import SubMap
 
 

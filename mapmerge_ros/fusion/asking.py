@@ -79,7 +79,7 @@ class Asking:
         if sent is not None and sent.request.revision < submap.revision:
             asked = np.concatenate([asked, sent.request.landmark_ids])
             del self._sent[name]
-        missing = np.setdiff1d(asked, submap.compressed_ids)
+        missing = np.setdiff1d(asked, submap.compressed_ids) if len(asked) else asked
         self._denied.pop(name, None)
         if len(missing):
             self._denied[name] = Denial(missing, submap.compressed_count)

@@ -62,6 +62,8 @@ class Off:
     """(m,) row among its compressed landmarks"""
     tracks: Ints
     """(m,) track that held them; the others keep it"""
+    partners: Ints
+    """(m,) the only other sub-map that has it; -1: several have"""
     own_tracks: Ints
     """(m,) track of their own, once they are taken out of the merge"""
     displacements_global: Floats

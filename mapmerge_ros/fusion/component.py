@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mapmerge_ros.arrays import Floats
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.changes import Change, Off, describe
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.covariance_model import CovarianceModel
-from mapmerge_ros.fusion.honest import Examination
+from mapmerge_ros.fusion.examination import Examination
 from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.fusion.outcome import Verdict
 from mapmerge_ros.fusion.outgoing import Merged, compress_component
@@ -82,7 +83,8 @@ def merge_component(
         examination=first.examination,
         changes=state.changes(submaps, merged.component.names),
     )
-    return replace(merged, component=component)
+    ratios = np.zeros(0) if state.verdict.accepted else _cost_ratios(state.solution)
+    return replace(merged, component=component, cost_ratios=ratios)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,6 +144,7 @@ class _Task:
         with self.stopwatch.measure('test'):
             gauge = min(submap.gauge for submap in self.submaps)
             verdict, examination = verify_merge(
+                [submap.map_id for submap in self.submaps],
                 solution.reduced,
                 solution.estimate,
                 self.links,
@@ -163,8 +166,10 @@ class _Task:
         )
         before = max((int(off.objects.max()) for off in state.taken_out), default=0)
         off = find_off(examined, self.submaps, before)
-        if off is None or len(too_much(off, solution.rows)):
+        if off is None:
             return None
+        if len(worst := too_much((*state.taken_out, off), solution.rows)):
+            return self._refused(state, self.submaps[int(worst[0])].map_id)
         association = unlocked(state.association, off)
         if not self._connected(association):
             return None
@@ -173,10 +178,26 @@ class _Task:
         except DegenerateGeometry:
             return None
 
+    def _refused(self, state: _State, suspect: str) -> _State:
+        """Believe nothing of what is merged: too much of one sub-map is off."""
+        reason = state.verdict.reason or f'more of {suspect} is off than can be left out'
+        verdict = replace(state.verdict, accepted=False, reason=reason, suspect=suspect)
+        return replace(state, verdict=verdict, examination=None)
+
     def _connected(self, association: Association) -> bool:
         counts = association.shared_counts()
         left = [link for link in self.links if counts[link.a, link.b] >= self.config.min_shared]
         return len(components(len(self.submaps), left)) == 1
+
+
+def _cost_ratios(solution: Solution) -> Floats:
+    """Cost (maps,) of each sub-map by coordinate, px²: who is pulled away from where it is."""
+    ratios = np.zeros(len(solution.reduced))
+    for k in range(len(ratios)):
+        element = solution.reduced.element(k)
+        residuals = element.residuals(element.place(solution.estimate.points))
+        ratios[k] = residuals @ residuals / max(len(residuals), 1)
+    return ratios
 
 
 def choose_anchor(submaps: Sequence[SubMap], gauge: Gauge) -> Anchor:

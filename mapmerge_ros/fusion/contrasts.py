@@ -125,7 +125,7 @@ class Contrasts:
             np.linalg.qr(self.frames[at])[0],
             self.unit,
             self.radius,
-            _pairs(helmert),
+            same_member_pairs(helmert),
         )
 
 
@@ -177,7 +177,7 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
         frames=left,
         unit=unit,
         radius=radius,
-        pairs=_pairs(helmert),
+        pairs=same_member_pairs(helmert),
     )
 
 
@@ -226,7 +226,8 @@ def _helmert(tracks: Ints, views: Ints) -> tuple[scipy.sparse.csr_array, Ints]:
     return matrix, tracks[order][later]
 
 
-def _pairs(helmert: scipy.sparse.csr_array) -> tuple[Ints, Ints, Ints, Floats]:
+def same_member_pairs(helmert: scipy.sparse.csr_array) -> tuple[Ints, Ints, Ints, Floats]:
+    """`Contrasts.pairs` of some contrasts."""
     by_member = helmert.tocsc()
     counts = np.diff(by_member.indptr)
     firsts = np.repeat(np.arange(by_member.nnz), np.repeat(counts, counts))

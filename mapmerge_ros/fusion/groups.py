@@ -1,6 +1,6 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Connected sub-maps merged group by group; one that breaks the merge is left out, alone."""
+"""Connected sub-maps merged group by group, without those that break a merge or contradict it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.component import merge_component
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.outcome import Refusal
+from mapmerge_ros.fusion.contradiction import refusals
 from mapmerge_ros.fusion.outgoing import Merged
 from mapmerge_ros.fusion.overlap import Link, components
+from mapmerge_ros.fusion.quarantine import Group, Parts, Search
+from mapmerge_ros.fusion.refusal import Refusal
+from mapmerge_ros.fusion.search import is_certain
 from mapmerge_ros.fusion.solution import Anchor
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.submap import SubMap
@@ -25,8 +28,6 @@ FAILURES = (MapMergeError, np.linalg.LinAlgError, ArithmeticError)
 What numbers can do to a merge although each message keeps its contract: R of rank zero, points
 that are all one, sizes that overflow.
 """
-
-Group = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,8 +49,11 @@ def merge_groups(problem: Problem) -> tuple[list[tuple[Group, Merged]], list[Ref
     refused: list[Refusal] = []
     for group in components(len(problem.submaps), problem.links):
         parts, without = _merge_or_isolate(group, problem)
-        merged += parts
         refused += without
+        for part, whole in parts:
+            believed, contradicting = _without_wrong_maps(part, whole, problem)
+            merged += believed
+            refused += contradicting
     merged.sort(key=lambda part: (-len(part[0]), part[0]))
     return merged, refused
 
@@ -73,6 +77,33 @@ def _merge_or_isolate(
         names = [problem.submaps[k].map_id for k in culprits]
         return parts, [Refusal(name, f'with it the merge fails: {failure}') for name in names]
     return [], [Refusal(problem.submaps[k].map_id, failure) for k in group]
+
+
+def _without_wrong_maps(
+    group: Group, whole: Merged, problem: Problem
+) -> tuple[Parts, list[Refusal]]:
+    """
+    Leave out what is wrong as a whole, where that is certain.
+
+    Two sub-maps that disagree stay refused together, nobody can tell which is wrong. So does a
+    merge whose geometry may be in a wrong basin.
+    """
+    if whole.component.verdict.accepted or len(group) < 3 or not problem.config.unlock:
+        return [(group, whole)], []
+
+    def merge_without(culprits: Group) -> Parts:
+        try:
+            return [(part, _merge(part, problem)) for part in _without(group, culprits, problem)]
+        except FAILURES:
+            return []
+
+    def certain(part: Group) -> bool:
+        return is_certain(_within(part, problem.links), len(part))
+
+    trial = Search(group, whole, merge_without, certain).culprits()
+    if trial is None:
+        return [(group, whole)], []
+    return trial.parts, refusals(trial, problem.submaps, problem.association)
 
 
 def _strangest_first(group: Group, problem: Problem) -> list[int]:

@@ -9,7 +9,7 @@ field swallows them; they are put back under the model, or warp is called an obj
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import scipy.stats
@@ -18,7 +18,7 @@ from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.conditional import conditional_tests
 from mapmerge_ros.fusion.confirm import confirmed, members_of, p_objects
-from mapmerge_ros.fusion.contrasts import NOBODY, Contrasts, contrasts
+from mapmerge_ros.fusion.contrasts import Contrasts, contrasts
 from mapmerge_ros.fusion.covariance_model import (
     LARGEST_TAIL,
     TEXTBOOK,
@@ -30,13 +30,16 @@ from mapmerge_ros.fusion.covariance_model import (
     settled,
 )
 from mapmerge_ros.fusion.doubtful import doubtful_members
-from mapmerge_ros.fusion.local import LocalTests, Sensitivity, forward_selection, sensitivity, tail
+from mapmerge_ros.fusion.examination import Examination, by_textbook
+from mapmerge_ros.fusion.local import Sensitivity, forward_selection, sensitivity, tail
 from mapmerge_ros.fusion.objects import (
     LEAST_STATISTIC,
     MovedObject,
     find_objects,
 )
+from mapmerge_ros.fusion.plausible import largest_variances
 from mapmerge_ros.fusion.quadratic import Quadratic
+from mapmerge_ros.fusion.scales import wrong_scale
 from mapmerge_ros.fusion.tails import GAUSSIAN, are_gaussian
 
 MIN_CONTRASTS, MAX_CONTRASTS = 50, 600
@@ -51,14 +54,6 @@ MIN_GAIN = 8.0
 Log-likelihood that a model must bring to be preferred to the textbook.
 
 Twice that is χ²(3) where noise is Gaussian: p = 0.001. Real sets have 27 to 4000.
-"""
-
-MAX_PHI, MAX_TAU_UNITS, MAX_OMEGA_RADII = 2.5, 1.0, 5e-3
-"""
-What is believed of an honest map: three times what EuRoC and Caliterra show, no more.
-
-φ is 0.9 there; ω is 1.6e-3 of the scene radius. τ may be as large as a typical difference.
-A merge that needs more is refused, whatever would explain it.
 """
 
 BAD_LEVEL, BAD_SHARE = 1e-3, 0.01
@@ -89,42 +84,6 @@ A model in which an object had no say that is none any more would be too narrow 
 """
 
 MEDIAN_CHI2 = float(scipy.stats.chi2.median(3))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Examination:
-    """What is wrong with a merge, and whether the rest can be believed."""
-
-    model: CovarianceModel | None
-    """None: the textbook holds, or nothing else may be believed"""
-    objects: tuple[MovedObject, ...]
-    aside: Ints
-    """Members beyond all else, one of a track at most"""
-    tests: LocalTests | None
-    """
-    Of every member, p-values under the model, given that objects and what is aside are off.
-
-    None in a very large merge.
-    """
-    textbook_tests: LocalTests | None
-    """Every sub-map believed to the letter, all members locked"""
-    price: float
-    """Of what is neither an object nor aside, under the model"""
-    dof: int
-    p_objects: float
-    """That objects as strong as these are errors under the model; 1 without any"""
-    p_value: float
-    """
-    Of that price, of so many bad landmarks and of the worst: thrice the least of the three.
-
-    Zero if more is set aside than may be.
-    """
-    doubtful: Ints
-    """
-    Single members that are off, under false-discovery control, none of them in an object.
-
-    Nobody where the geometry is not certain, or in a very large merge.
-    """
 
 
 def examine(
@@ -158,12 +117,13 @@ def examine(
         suspects = find_objects(state, merge.points, LEAST_STATISTIC * _usual(statistics))
         plain = replace(plain, tests=tests, textbook_tests=tests, objects=suspects)
         gaussian = not suspects and are_gaussian(statistics, LARGEST_TAIL)
+        plain = replace(plain, wrong_scale=wrong_scale(state, merge))
     enough = len(merge.members) - len(merge.points) >= MIN_CONTRASTS
     if not (certain and enough) or (gaussian and plain.p_value >= TESTED_FIRST):
         return _with_doubtful(plain, state) if state and certain else plain
     try:
         found = _under_model(merge, state, plain.objects, known)
-        return replace(found, textbook_tests=plain.textbook_tests)
+        return replace(found, textbook_tests=plain.textbook_tests, wrong_scale=plain.wrong_scale)
     except (DegenerateGeometry, np.linalg.LinAlgError):
         return plain  # so far off that no covariance describes it
 
@@ -171,12 +131,6 @@ def examine(
 def _usual(statistics: Floats) -> float:
     """How much larger the statistics are than Gaussian ones, by the median; at least 1."""
     return max(1.0, float(np.median(statistics)) / MEDIAN_CHI2) if len(statistics) else 1.0
-
-
-def by_textbook(price: float, dof: int, redundancy: float) -> Examination:
-    """Examination that looks at the price alone, in units of σ²."""
-    p_value = float(tail(np.array(price), dof, redundancy)) if dof > 0 else 1.0
-    return Examination(None, (), NOBODY, None, None, price, dof, 1.0, p_value, doubtful=NOBODY)
 
 
 def _with_doubtful(plain: Examination, state: Sensitivity) -> Examination:
@@ -197,7 +151,8 @@ def _under_model(
     known: CovarianceModel | None,
 ) -> Examination:
     data = contrasts(merge, MAX_CONTRASTS, members_of(suspects))
-    fitted = _fit(data, members_of(suspects), known)
+    highest = largest_variances(merge, data)
+    fitted = _fit(data, highest, members_of(suspects), known)
     if textbook is None:
         return _judged(fitted, np.inf)
     objects, state = suspects, _state(merge, data, textbook, fitted)
@@ -206,7 +161,7 @@ def _under_model(
         if set(members_of(objects)) == set(members_of(before)):
             break
         # from the start: variances that were fitted with half of the warp unlocked mislead
-        fitted = _fit(data, members_of(objects), known)
+        fitted = _fit(data, highest, members_of(objects), known)
         state = _state(merge, data, textbook, fitted)
     moved = members_of(objects)
     tests = conditional_tests(state, np.union1d(moved, fitted.aside))
@@ -221,11 +176,10 @@ def _under_model(
     )
 
 
-def _fit(data: Contrasts, moved: Ints, known: CovarianceModel | None) -> Fitted:
+def _fit(data: Contrasts, highest: Floats, moved: Ints, known: CovarianceModel | None) -> Fitted:
     if known is not None:
         return as_known(data, known, moved)
-    most_omega = MAX_OMEGA_RADII * data.radius / data.unit
-    fitted = fit_model(data, np.array([MAX_PHI, MAX_TAU_UNITS**2, most_omega**2]), moved)
+    fitted = fit_model(data, highest, moved)
     if fitted.gain >= MIN_GAIN:
         return fitted
     plain = settled(data, TEXTBOOK, moved, np.zeros(0, np.int64))
@@ -253,15 +207,4 @@ def _judged(fitted: Fitted, redundancy: float) -> Examination:
     p_value = min(1.0, len(parts) * min(parts))
     if len(fitted.aside) > MAX_ASIDE * count:
         p_value = 0.0
-    return Examination(
-        fitted.model,
-        (),
-        fitted.aside,
-        None,
-        None,
-        fitted.price,
-        fitted.dof,
-        1.0,
-        p_value,
-        doubtful=NOBODY,
-    )
+    return Examination(fitted.price, fitted.dof, p_value, model=fitted.model, aside=fitted.aside)

@@ -74,7 +74,7 @@ class Sensitivity:
 
     @property
     def locked(self) -> Mask:
-        """(s,)"""
+        """Members (s,) that keep their landmark where the merge has it."""
         return np.ones(len(self.members), bool) if self.unlocked is None else ~self.unlocked
 
     def testable(self) -> Mask:

@@ -13,8 +13,9 @@ from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.association import PairMatch
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.changes import Change
-from mapmerge_ros.fusion.honest import Examination
+from mapmerge_ros.fusion.examination import Examination
 from mapmerge_ros.fusion.names import Names
+from mapmerge_ros.fusion.refusal import Quarantine
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import Request, SubMap
 
@@ -25,14 +26,6 @@ class State(IntEnum):
     MERGED = 0
     DETACHED = 1
     REFUSED = 2
-
-
-@dataclass(frozen=True, slots=True)
-class Refusal:
-    """A sub-map that is not used, and why."""
-
-    map_id: str
-    reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +46,8 @@ class MapAlignment:
 
     It is that of the frame in which the sub-map's own q° lies, not of the robot's true cameras.
     """
+    quarantine: Quarantine | None = None
+    """Evidence against a refused sub-map that is wrong as a whole"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +62,10 @@ class ErrorModel:
     """Smooth warp of every sub-map, of the scene radius"""
     tail_freedom: float
     """ν of F(3, ν), which single landmarks follow; inf: Gaussian"""
+    price: float = float(np.nan)
+    """Of merging, in units of what these errors explain: `dof` is expected"""
+    dof: int = 0
+    """Of that price: without the landmarks that are set aside"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +92,8 @@ class Verdict:
     """Landmarks too far off to have a say in `errors` and `p_value`"""
     moved: int = 0
     """Landmarks that moved together with their neighbours; the merge still holds them equal"""
+    suspect: str = ''
+    """map_id of a sub-map that alone does not fit, where the rest may be believed"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,6 +219,11 @@ class Fusion:
     def changes(self) -> tuple[Change, ...]:
         """What was found to have moved, or not to fit, in the global map."""
         return self.components[0].changes if self.components else ()
+
+    @property
+    def quarantined(self) -> tuple[MapAlignment, ...]:
+        """Refused sub-maps that are wrong as a whole, by map_id."""
+        return tuple(item for item in self.alignments if item.quarantine)
 
     def in_state(self, state: State) -> tuple[MapAlignment, ...]:
         """Return the sub-maps in one state."""

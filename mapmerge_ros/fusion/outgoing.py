@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,6 +31,8 @@ class Merged:
     S_global_maps: tuple[Similarity, ...]
     covariances: tuple[Floats, ...]
     """(7, 7) each, see `MapAlignment`"""
+    cost_ratios: Floats = field(default_factory=lambda: np.zeros(0))
+    """(maps,) cost of each by coordinate, px², where the merge is not believed"""
 
 
 def compress_component(

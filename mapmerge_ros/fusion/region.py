@@ -3,8 +3,9 @@
 """
 Where the landmarks may be as well: the confidence region of a merge, as curved as it is.
 
-R̄ of the outgoing map, and the standard deviations, describe an ellipsoid. Where a rotation between
-sub-maps is weakly determined the true region bends away from it; the cost of merging follows.
+R̄ of the outgoing map, and the standard deviations, describe an ellipsoid. Where a rotation
+between sub-maps is weakly determined the true region bends away from it; the cost of merging
+follows.
 """
 
 from __future__ import annotations

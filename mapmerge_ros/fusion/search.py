@@ -13,7 +13,7 @@ from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.joint.minimise import minimise
-from mapmerge_ros.fusion.joint.start import initial_points
+from mapmerge_ros.fusion.joint.start import STEPS, initial_points
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.overlap import Link, components, spanning_tree
 from mapmerge_ros.geometry import Gauge, Similarity
@@ -40,7 +40,8 @@ def search(
     Merge from one start after the other until the test believes it; the cheapest one counts.
 
     Deterministic, and a single start where no rotation is weakly determined: a refusal is then
-    about the data.
+    about the data. Where one is, noise explains wrong basins too: two starts at least, of which
+    the cheaper is the right one in 10 of the 11 narrow rooms of 1000 where they disagree.
 
     Raises
     ------
@@ -51,20 +52,20 @@ def search(
     gauges = [Gauge(int(own)) for own in cost.gauges]
     best: Estimate | None = None
     failure: DegenerateGeometry | None = None
-    tried = 0
-    for some in _starts(links, len(cost)):
+    tried, least = 0, 1 if is_certain(links, len(cost)) else 2
+    for some, steps in _starts(links, len(cost)):
         if tried == config.max_starts:
             break
         tried += 1
         try:
             centre, frames = spanning_tree(range(len(cost)), gauges, some)
-            found = minimise(cost, initial_points(cost, frames, centre), gauge, config)
+            found = minimise(cost, initial_points(cost, frames, centre, steps), gauge, config)
         except DegenerateGeometry as err:
             failure = err
             continue
         if best is None or found.cost < best.cost:
             best = found
-        if believed(best.cost):
+        if tried >= least and believed(best.cost):
             break
     if best is None:
         raise failure or DegenerateGeometry('no sub-map to merge')
@@ -77,18 +78,25 @@ def is_certain(links: Sequence[Link], count: int) -> bool:
     return len(components(count, firm)) == 1
 
 
-def _starts(links: Sequence[Link], count: int) -> Iterator[Sequence[Link]]:
-    """Links as they are; without a weak one; with a weak one turned. The weakest first."""
-    yield links
+def _starts(links: Sequence[Link], count: int) -> Iterator[tuple[Sequence[Link], int]]:
+    """
+    Links, and steps of all frames towards their mean.
+
+    Links as they are, frames settled or as the paths put them (a weak rotation is better left as
+    its own landmarks say); without a weak link; with a weak one turned. The weakest first.
+    """
+    yield links, STEPS
+    yield links, 0
     weak = [k for k, link in enumerate(links) if link.turn and link.turn.std_rad > WEAK_TURN_RAD]
     weak.sort(key=lambda k: -_std_rad(links[k]))
     for k in weak:
         rest = [link for position, link in enumerate(links) if position != k]
         if len(components(count, rest)) == 1:
-            yield rest
+            yield rest, STEPS
     for k in weak:
         for twist in (*(sigmas * _std_rad(links[k]) for sigmas in TWISTS), np.pi):
-            yield [_turned(link, twist) if link is links[k] else link for link in links]
+            turned = [_turned(link, twist) if link is links[k] else link for link in links]
+            yield turned, STEPS
 
 
 def _std_rad(link: Link) -> float:

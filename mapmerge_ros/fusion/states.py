@@ -9,9 +9,10 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mapmerge_ros.association import Decision
-from mapmerge_ros.fusion.outcome import MapAlignment, Match, Refusal, State
+from mapmerge_ros.fusion.outcome import MapAlignment, Match, State
 from mapmerge_ros.fusion.outgoing import Merged
 from mapmerge_ros.fusion.overlap import Link
+from mapmerge_ros.fusion.refusal import Refusal
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import DescriptorType, SubMap
 
@@ -85,11 +86,12 @@ def left_out(
     submaps: Iterable[SubMap], refusals: Iterable[Refusal], matches: Sequence[Match]
 ) -> list[MapAlignment]:
     """Sub-maps that no component has: refused ones, and bare announcements."""
-    reasons = {refusal.map_id: refusal.reason for refusal in refusals}
+    by_name = {refusal.map_id: refusal for refusal in refusals}
     left_out = []
     for submap in submaps:
-        if submap.map_id in reasons:
-            state, reason = State.REFUSED, reasons[submap.map_id]
+        refusal = by_name.get(submap.map_id)
+        if refusal:
+            state, reason = State.REFUSED, refusal.reason
         elif not submap.compressed_count:
             why = _why_unmatched(submap, matches)
             state = State.DETACHED
@@ -101,7 +103,13 @@ def left_out(
             continue
         left_out.append(
             MapAlignment(
-                submap, state, reason, NO_COMPONENT, Similarity.identity(), np.zeros((7, 7))
+                submap,
+                state,
+                reason,
+                NO_COMPONENT,
+                Similarity.identity(),
+                np.zeros((7, 7)),
+                refusal.quarantine if refusal else None,
             )
         )
     return left_out

@@ -13,7 +13,7 @@ from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.changes import Off
 from mapmerge_ros.fusion.confirm import members_of
-from mapmerge_ros.fusion.honest import Examination
+from mapmerge_ros.fusion.examination import Examination
 from mapmerge_ros.fusion.objects import MovedObject
 from mapmerge_ros.fusion.quadratic import Members
 from mapmerge_ros.geometry import Similarity
@@ -24,7 +24,8 @@ MAX_UNLOCKED = 0.35
 Share of a sub-map's common landmarks that may be taken out of a merge.
 
 More, and it is the map that is wrong, or the merge: an object that is half of what two maps have
-in common cannot be told from the rest.
+in common cannot be told from the rest. Where only two have a landmark, both are concerned: of a
+bent map, half of what is off seems to be its neighbours'.
 """
 
 
@@ -47,14 +48,17 @@ class Examined:
         members, S = self.found.tests.members, self.S_global_estimate
         linear = S.scale * S.rotation
         maps, inside = members.maps[at], members.rows[at]
-        rows = np.array([self.rows[k][row] for k, row in zip(maps, inside, strict=True)], np.int64)
+        rows = np.array([self.rows[k][row] for k, row in zip(maps, inside, strict=True)], int)
+        tracks = np.array(
+            [self.association.tracks[k][row] for k, row in zip(maps, rows, strict=True)], int
+        )
+        views = np.bincount(members.tracks)[members.tracks[at]]
+        everyone = np.bincount(members.tracks, weights=members.maps)[members.tracks[at]]
         return Off(
             maps=maps,
             rows=rows,
-            tracks=np.array(
-                [self.association.tracks[k][row] for k, row in zip(maps, rows, strict=True)],
-                np.int64,
-            ),
+            tracks=tracks,
+            partners=np.where(views == 2, everyone.astype(np.int64) - maps, -1),
             own_tracks=self.association.count + np.arange(len(at)),
             displacements_global=displacements @ linear.T,
             covariances_global=linear @ covariances @ linear.T,
@@ -101,10 +105,22 @@ def find_off(examined: Examined, submaps: Sequence[SubMap], objects_before: int)
     )
 
 
-def too_much(off: Off, rows: Sequence[Ints]) -> Ints:
-    """Sub-maps (indices) of which so much is off that the rest cannot be believed."""
-    count = np.array([len(own) for own in rows])
-    return np.flatnonzero(np.bincount(off.maps, minlength=len(rows)) > MAX_UNLOCKED * count)
+def too_much(taken_out: Sequence[Off], rows: Sequence[Ints]) -> Ints:
+    """
+    Sub-maps (indices) of which so much is off that the rest cannot be believed, most first.
+
+    `rows` are those of the landmarks that were shared before the last of `taken_out`.
+    """
+    count = np.array([len(own) for own in rows], np.float64)
+    concerned = [_concerned(off, len(rows)) for off in taken_out]
+    share = np.sum(concerned, axis=0) / np.maximum(count + np.sum(concerned[:-1], axis=0), 1.0)
+    return np.flatnonzero(share > MAX_UNLOCKED)[np.argsort(-share[share > MAX_UNLOCKED])]
+
+
+def _concerned(off: Off, count: int) -> Ints:
+    """How many landmarks that are off concern each sub-map (count,)."""
+    both = np.concatenate([off.maps, off.partners[off.partners >= 0]])
+    return np.bincount(both, minlength=count)
 
 
 def unlocked(association: Association, off: Off) -> Association:

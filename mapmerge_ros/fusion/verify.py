@@ -11,17 +11,14 @@ import numpy as np
 import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.covariance_model import CovarianceModel
-from mapmerge_ros.fusion.honest import (
-    MAX_TRACKS,
-    TESTED_FIRST,
-    Examination,
-    by_textbook,
-    examine,
-)
+from mapmerge_ros.fusion.examination import Examination, by_textbook
+from mapmerge_ros.fusion.honest import MAX_TRACKS, TESTED_FIRST, examine
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.merge import Estimate
+from mapmerge_ros.fusion.misfit import MAX_RATIO, worst_map
 from mapmerge_ros.fusion.outcome import ErrorModel, Verdict
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.quadratic import Quadratic, quadratic
@@ -94,6 +91,7 @@ def verify(a_tilde: float, dof: int, noise: Noise, config: FusionConfig) -> Verd
 
 
 def verify_merge(
+    map_ids: Sequence[str],
     reduced: JointCost,
     estimate: Estimate,
     links: Sequence[Link],
@@ -108,8 +106,9 @@ def verify_merge(
 
     `reduced` is the cost of the shared landmarks, as merged. What the textbook accepts
     stays accepted, with its own p-value, unless its landmarks are not Gaussian; what moved
-    together is refused as long as it is merged. `known` are the errors of these sub-maps, if
-    something has been taken out of their merge already.
+    together is refused as long as it is merged. Where a model was needed, no sub-map may be
+    much worse than it is for the others. `known` are the errors of these sub-maps, if something
+    has been taken out of their merge already.
     """
     textbook = verify(estimate.cost, dof, noise, config)
     if dof <= 0:
@@ -120,7 +119,36 @@ def verify_merge(
     certain = estimate.converged and is_certain(links, len(reduced))
     merge = quadratic(reduced.elements(), estimate.points, gauge, noise.sigma)
     found = examine(merge, redundancy, certain=certain, known=known)
-    return _judged(textbook, found, merge, config), found
+    verdict = _judged(textbook, found, merge, config)
+    return _unless_one_is_wrong(verdict, found, merge, map_ids, certain=certain), found
+
+
+def _unless_one_is_wrong(
+    verdict: Verdict,
+    found: Examination,
+    merge: Quadratic,
+    map_ids: Sequence[str],
+    *,
+    certain: bool,
+) -> Verdict:
+    """Refuse a merge in which one sub-map differs from all others by more than they differ."""
+    if scale := found.wrong_scale:
+        reason = (
+            f'{map_ids[scale.k]} is {np.expm1(scale.log_scale):+.2%} larger than the others have '
+            f'it, ± {scale.std:.2%} by what they claim'
+        )
+        return replace(verdict, accepted=False, reason=reason, suspect=map_ids[scale.k])
+    if not (verdict.accepted and certain and verdict.errors is not None):
+        return verdict
+    try:
+        worst = worst_map(merge)
+    except (DegenerateGeometry, np.linalg.LinAlgError):
+        return verdict
+    if worst is None or worst.ratio <= MAX_RATIO:
+        return verdict
+    suspect = map_ids[worst.k]
+    reason = f'{suspect} alone differs {worst.ratio:.3g} times as much as the errors of the others'
+    return replace(verdict, accepted=False, reason=f'{reason} explain', suspect=suspect)
 
 
 def _judged(
@@ -134,7 +162,14 @@ def _judged(
     p_value = min(found.p_value, found.p_objects)  # as long as they are merged like all else
     accepted = p_value >= config.significance and not moved
     radius = scene_radius(merge.points)
-    errors = ErrorModel(model.phi, model.tau / radius, model.omega / radius, model.tails.freedom)
+    errors = ErrorModel(
+        model.phi,
+        model.tau / radius,
+        model.omega / radius,
+        model.tails.freedom,
+        found.price,
+        found.dof,
+    )
     return replace(
         textbook,
         p_value=p_value,

@@ -37,7 +37,7 @@ class Segments:
 
     @property
     def lengths(self) -> Ints:
-        """(n,)"""
+        """Rows of each segment (n,)."""
         return np.diff(self.ends)
 
     def rows(self, k: int) -> slice:

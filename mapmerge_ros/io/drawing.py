@@ -13,7 +13,8 @@ from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion import Verdict
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.io.map_points import SEVERAL, MapPoints
-from mapmerge_ros.io.palette import SHARED, colours, hexadecimal
+from mapmerge_ros.io.palette import SHARED, Rgb, hexadecimal
+from mapmerge_ros.io.viewpoint import viewpoint
 
 WIDTH, MIN_HEIGHT, MAX_HEIGHT = 720.0, 220.0, 760.0
 MAX_POINTS = 6000
@@ -26,15 +27,16 @@ MAX_SPREADS = 12.0
 """Standard deviations right of the mean up to which the density is drawn to scale."""
 
 
-def top_view(points: MapPoints, gauge: Gauge) -> str:
+def top_view(points: MapPoints, gauge: Gauge, palette: Sequence[Rgb]) -> str:
     """
     Map seen from above, or, where up is unknown, along its thinnest direction.
 
-    A scale bar is there if the map is metric.
+    `palette` has a colour for each sub-map. A scale bar is there if the map is metric.
     """
     if not len(points):
         return ''
-    flat = _flattened(points.points_global, gauge)
+    view = viewpoint(points.points_global, gauge)
+    flat = view.radius * view.points(points.points_global)[:, :2]
     low, high = _frame(flat)
     scale = min(WIDTH / (high - low)[0], MAX_HEIGHT / (high - low)[1])
     height = max(MIN_HEIGHT, float((high - low)[1] * scale))
@@ -45,21 +47,7 @@ def top_view(points: MapPoints, gauge: Gauge) -> str:
     rows = np.flatnonzero(inside)
     drawn = rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_POINTS)).astype(int)]
     bar = _scale_bar(scale, height) if gauge <= Gauge.RIGID else ''
-    return svg(height, 'map seen from above', *_dots(points, pixels, drawn), bar)
-
-
-def _flattened(points_global: Floats, gauge: Gauge) -> Floats:
-    """Two coordinates (n, 2) of each point, right and up on paper."""
-    if gauge <= Gauge.YAW_TRANSLATION:
-        return points_global[:, :2].astype(float)
-    centred = points_global - np.median(points_global, axis=0)
-    near = np.linalg.norm(centred, axis=1)
-    core = centred[near <= np.percentile(near, 90.0)]
-    axes = np.linalg.svd(core, full_matrices=False)[2][:2] if len(core) > 2 else np.eye(3)[:2]
-    # An axis has no sign of its own: its largest entry shall be positive.
-    signs = np.sign(axes[np.arange(2), np.abs(axes).argmax(axis=1)])
-    flat: Floats = centred @ (axes * signs[:, None]).T
-    return flat
+    return svg(height, 'map seen from above', *_dots(points, pixels, drawn, palette), bar)
 
 
 def _frame(flat: Floats) -> tuple[Floats, Floats]:
@@ -68,16 +56,15 @@ def _frame(flat: Floats) -> tuple[Floats, Floats]:
     return low - margin, high + margin
 
 
-def _dots(points: MapPoints, pixels: Floats, drawn: Ints) -> list[str]:
+def _dots(points: MapPoints, pixels: Floats, drawn: Ints, palette: Sequence[Rgb]) -> list[str]:
     """Paths of dots, one for each colour and size; shared landmarks last, on top."""
     is_landmark = np.arange(len(points)) < points.landmark_count
-    palette = [*colours(len(points.map_ids)), SHARED]
     owners = [*range(len(points.map_ids)), SEVERAL]
     paths = []
     for landmark, size, opacity in ((False, 3.2, 0.65), (True, 4.6, 0.9)):
         for owner in owners:
             rows = drawn[(points.owners[drawn] == owner) & (is_landmark[drawn] == landmark)]
-            colour = hexadecimal(palette[owner])
+            colour = hexadecimal(SHARED if owner == SEVERAL else palette[owner])
             strokes = ''.join(f'M{x:.1f} {y:.1f}h0' for x, y in pixels[rows])
             if strokes:
                 paths.append(
@@ -101,14 +88,15 @@ def _scale_bar(scale: float, height: float) -> str:
 
 def density(verdict: Verdict, redundancy: int) -> str:
     """
-    Expected ã/σ² if nothing is wrong, and what was found.
+    Expected price of merging if nothing is wrong, and the one that was found.
 
+    The price is ã/σ², or, where the test rests on fitted errors, what it is in units of those.
     `redundancy` is what an estimated σ rests on; 0 = σ is known.
     """
-    if not verdict.dof or not np.isfinite(verdict.variance_factor):
+    found, dof = price_and_expected(verdict)
+    if not dof or not np.isfinite(found):
         return ''
-    found = verdict.variance_factor * verdict.dof
-    dof, estimated = verdict.dof, max(redundancy, 5)
+    estimated = max(redundancy, 5)
     law = scipy.stats.f(dof, estimated, scale=dof) if redundancy else scipy.stats.chi2(dof)
     mean, spread = float(law.mean()), float(law.std())
     low = max(0.0, min(mean - 5.0 * spread, found - spread))
@@ -124,12 +112,19 @@ def density(verdict: Verdict, redundancy: int) -> str:
     middle = 20.0 + (mean - low) / (high - low) * (right - 20.0)
     return svg(
         222.0,
-        'expected and found price of merging',
+        f'price of merging: {mean:.0f} expected, {found:.0f} found',
         f'<path d="M20 {base}L{curve}L{right} {base}Z" class="expected"/>',
         f'<path d="M20 {base}H{right}" class="ink"/>',
         f'<text x="{middle:.1f}" y="{base + 22}" text-anchor="middle">expected {mean:.0f}</text>',
         *_mark(at, found, base, found > high, verdict.accepted),
     )
+
+
+def price_and_expected(verdict: Verdict) -> tuple[float, int]:
+    """Price that the p-value is about, and how much of it is expected."""
+    if verdict.errors is not None and verdict.errors.dof:
+        return verdict.errors.price, verdict.errors.dof
+    return verdict.variance_factor * verdict.dof, verdict.dof
 
 
 def _mark(at: float, found: float, base: float, beyond: bool, accepted: bool) -> Sequence[str]:

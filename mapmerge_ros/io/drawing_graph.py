@@ -11,13 +11,13 @@ from markupsafe import escape
 from mapmerge_ros.association import Decision
 from mapmerge_ros.fusion import Fusion
 from mapmerge_ros.io.drawing import WIDTH, svg
-from mapmerge_ros.io.palette import SHARED, colours, hexadecimal
+from mapmerge_ros.io.palette import SHARED, Rgb, hexadecimal, map_colours
 
 MAX_NODES = 16
 """More names would lie on each other on a phone."""
 MAX_NAME = 16
 """Letters of a name beside its node, at the size that a phone needs."""
-RADIUS, NODE, MARGIN = 130.0, 10.0, 44.0
+RADIUS, NODE, MARGIN = 130.0, 10.0, 20.0
 WIDTHS = (1.5, 9.0)
 """Of the line of a single landmark in common, and of the most of them."""
 
@@ -34,14 +34,17 @@ def map_graph(fusion: Fusion) -> str:
     edges = common_landmarks(fusion)
     if not 2 < len(names) <= MAX_NODES or not edges:
         return ''
-    height = 2.0 * (RADIUS + MARGIN)
-    places = {name: _place(k, len(names), height) for k, name in enumerate(names)}
+    places = {name: _place(k, len(names)) for k, name in enumerate(names)}
+    top, bottom = (edge(y for _, y in places.values()) for edge in (min, max))
+    places = {name: (x, y - top + MARGIN) for name, (x, y) in places.items()}
+    palette = map_colours({x.submap.map_id: x.submap.robot_id for x in fusion.alignments})
     inside = fusion.components[0].map_ids if fusion.components else ()
-    palette = dict(zip(inside, colours(len(inside)), strict=True))
     most = max(edges.values())
     lines = [_line(places[a], places[b], count, most) for (a, b), count in sorted(edges.items())]
-    nodes = [_node(name, places[name], hexadecimal(palette.get(name, SHARED))) for name in names]
-    return svg(height, 'sub-maps and what they have in common', *lines, *nodes)
+    nodes = [_node(name, places[name], _colour(name in inside, palette[name])) for name in names]
+    return svg(
+        bottom - top + 2.0 * MARGIN, 'sub-maps and what they have in common', *lines, *nodes
+    )
 
 
 def common_landmarks(fusion: Fusion) -> _Edges:
@@ -57,9 +60,14 @@ def common_landmarks(fusion: Fusion) -> _Edges:
     return edges
 
 
-def _place(k: int, count: int, height: float) -> tuple[float, float]:
+def _colour(is_inside: bool, colour: Rgb) -> str:
+    """What is not in the published map is grey."""
+    return hexadecimal(colour if is_inside else SHARED)
+
+
+def _place(k: int, count: int) -> tuple[float, float]:
     angle = 2.0 * math.pi * (k + 0.5) / count - math.pi / 2.0
-    return WIDTH / 2.0 + RADIUS * math.cos(angle), height / 2.0 + RADIUS * math.sin(angle)
+    return WIDTH / 2.0 + RADIUS * math.cos(angle), RADIUS * math.sin(angle)
 
 
 def _line(a: tuple[float, float], b: tuple[float, float], count: int, most: int) -> str:

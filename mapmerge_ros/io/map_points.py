@@ -27,6 +27,8 @@ class MapPoints:
     views: Ints
     """(n,) sub-maps that have the point"""
     landmark_count: int
+    rows: tuple[Ints, ...]
+    """Per sub-map of `map_ids`, the point (n_k,) that each of its landmarks is"""
 
     def __len__(self) -> int:
         return len(self.owners)
@@ -35,7 +37,7 @@ class MapPoints:
 def map_points(fusion: Fusion) -> MapPoints:
     """Points of the published map; none where nothing could be merged."""
     if not fusion.components:
-        return MapPoints((), np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, int), 0)
+        return MapPoints((), np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, int), 0, ())
     component = fusion.components[0]
     alignments = {item.submap.map_id: item for item in fusion.alignments}
     inside = [alignments[map_id] for map_id in component.map_ids]
@@ -53,6 +55,7 @@ def map_points(fusion: Fusion) -> MapPoints:
         owners=owners,
         views=views,
         landmark_count=len(component.landmarks.ids),
+        rows=tuple(slots),
     )
 
 

@@ -54,7 +54,7 @@ def tally(matches: Sequence[Match]) -> str:
 
 
 def inliers_of(match: Match) -> str:
-    """'50 of 82'"""
+    """Inliers among the candidates, as `50 of 82`."""
     return f'{match.found.evidence.inliers} of {match.found.evidence.candidates}'
 
 

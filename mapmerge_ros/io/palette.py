@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Iterable, Mapping
 
 Rgb = tuple[int, int, int]
 
@@ -30,6 +31,24 @@ def colours(count: int) -> tuple[Rgb, ...]:
     return (*_FIRST, *map(_spread, range(count - len(_FIRST))))[:count]
 
 
+def robot_colours(robot_ids: Iterable[str]) -> dict[str, Rgb]:
+    """Colour of every robot by its name: the same for the same robots."""
+    robots = sorted(set(robot_ids))
+    return dict(zip(robots, colours(len(robots)), strict=True))
+
+
+def map_colours(robots: Mapping[str, str]) -> dict[str, Rgb]:
+    """
+    Colour of every sub-map: that of its robot, or its own where there is one robot only.
+
+    `robots` is the robot of every sub-map, both by name.
+    """
+    by_robot = robot_colours(robots.values())
+    if len(by_robot) == 1:
+        return robot_colours(robots)
+    return {map_id: by_robot[robot] for map_id, robot in robots.items()}
+
+
 def _spread(k: int) -> Rgb:
     """Any number of hues, neighbours in number far apart in hue."""
     red, green, blue = colorsys.hls_to_rgb((k * _GOLDEN_RATIO) % 1.0, 0.45, 0.6)
@@ -37,5 +56,5 @@ def _spread(k: int) -> Rgb:
 
 
 def hexadecimal(colour: Rgb) -> str:
-    """#rrggbb"""
+    """Colour as `#rrggbb`."""
     return '#{:02x}{:02x}{:02x}'.format(*colour)

@@ -12,6 +12,7 @@ from typing import Any
 
 from mapmerge_ros.fusion import Change, ErrorModel, Fusion, MapAlignment, Verdict
 from mapmerge_ros.fusion.outcome import Match
+from mapmerge_ros.fusion.refusal import Quarantine
 from mapmerge_ros.io.codec import encode_submap
 from mapmerge_ros.submap import SubMap
 
@@ -104,12 +105,23 @@ def _sub_map(item: MapAlignment) -> dict[str, Any]:
         'sigma': noise_sigma(submap),
         'state': item.state.name.lower(),
         'reason': item.reason,
+        'quarantine': None if item.quarantine is None else _quarantine(item.quarantine),
         'component': item.component if item.component >= 0 else None,
         'global_from_map': {
             'scale': S_global_map.scale,
             'rotation': S_global_map.rotation.tolist(),
             'translation': S_global_map.translation.tolist(),
         },
+    }
+
+
+def _quarantine(found: Quarantine) -> dict[str, Any]:
+    return {
+        'contradicts': list(found.contradicts),
+        'price_ratio': found.price_ratio,
+        'p_value': found.p_value,
+        'distance': found.distance,
+        'distance_ratio': found.distance_ratio,
     }
 
 
@@ -149,6 +161,8 @@ def _errors(errors: ErrorModel) -> dict[str, float]:
         'floor_ratio': errors.tau_ratio,
         'warp_ratio': errors.omega_ratio,
         'tail_freedom': errors.tail_freedom,
+        'price': errors.price,
+        'dof': errors.dof,
     }
 
 
@@ -161,6 +175,7 @@ def _change(change: Change) -> dict[str, Any]:
         'position': change.position_global.tolist(),
         'displacement': change.displacement_global.tolist(),
         'std': change.std.tolist(),
+        'covariance': change.covariance.tolist(),
         'p_value': change.p_value,
     }
 

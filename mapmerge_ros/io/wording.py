@@ -4,10 +4,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from mapmerge_ros.fusion import Change, Fusion, MapAlignment, State, Verdict
+from mapmerge_ros.fusion import Fusion, MapAlignment, State, Verdict
 from mapmerge_ros.io.comparison import TruthComparison
+from mapmerge_ros.io.moved_objects import moved_objects
 
 
 def headline(fusion: Fusion) -> str:
@@ -42,17 +41,13 @@ def belief(verdict: Verdict) -> str:
 
 def what_moved(fusion: Fusion) -> str:
     """Say what was found to be elsewhere; empty if nothing was."""
-    objects: dict[int, list[Change]] = {}
-    for change in fusion.changes:
-        objects.setdefault(change.object_id, []).append(change)
-    doubtful = objects.pop(0, [])
+    doubtful = sum(not change.object_id for change in fusion.changes)
     parts = [
-        f'{counted(len(changes), "landmark")} of {changes[0].map_id} moved together by '
-        f'{np.median([np.linalg.norm(x.displacement_global) for x in changes]):.3g}'
-        for _, changes in sorted(objects.items())
+        f'{counted(each.count, "landmark")} of {each.map_id} moved together by {each.distance:.3g}'
+        for each in moved_objects(fusion.changes)
     ]
     if doubtful:
-        parts.append(f'{counted(len(doubtful), "landmark")} did not fit (wrong match, or moved)')
+        parts.append(f'{counted(doubtful, "landmark")} did not fit (wrong match, or moved)')
     return f'Taken out of the merge: {"; ".join(parts)}.' if parts else ''
 
 
@@ -83,7 +78,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def readable_bytes(count: float) -> str:
-    """184 kB"""
+    """Bytes with a unit, as `184 kB`."""
     for unit in ('B', 'kB', 'MB'):
         if count < 1000.0:
             return f'{count:.3g} {unit}'

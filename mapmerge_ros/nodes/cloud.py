@@ -15,8 +15,9 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion import Fusion
+from mapmerge_ros.io import palette
 from mapmerge_ros.io.map_points import SEVERAL, map_points
-from mapmerge_ros.io.palette import SHARED, Rgb, colours
+from mapmerge_ros.io.palette import SHARED, Rgb
 
 POINT = np.dtype(
     [
@@ -77,9 +78,8 @@ def pack(points: Floats, rgb: Colours | int, std: Floats | float, views: Ints | 
 
 
 def robot_colours(fusion: Fusion) -> Mapping[str, Rgb]:
-    """Colour of every robot that the fusion knows, by name: the same for the same robots."""
-    robots = sorted({item.submap.robot_id for item in fusion.alignments})
-    return dict(zip(robots, colours(len(robots)), strict=True))
+    """Colour of every robot that the fusion knows, as in the report."""
+    return palette.robot_colours(item.submap.robot_id for item in fusion.alignments)
 
 
 def make_cloud(fusion: Fusion) -> Cloud:
@@ -87,9 +87,9 @@ def make_cloud(fusion: Fusion) -> Cloud:
     found = map_points(fusion)
     robots = {item.submap.map_id: item.submap.robot_id for item in fusion.alignments}
     by_robot = robot_colours(fusion)
-    palette = [*(by_robot[robots[map_id]] for map_id in found.map_ids), SHARED]
-    assert SEVERAL == -1  # the last of the palette
-    packed = np.array([(r << 16) | (g << 8) | b for r, g, b in palette], np.uint32)
+    table = [*(by_robot[robots[map_id]] for map_id in found.map_ids), SHARED]
+    assert SEVERAL == -1  # the last of the table
+    packed = np.array([(r << 16) | (g << 8) | b for r, g, b in table], np.uint32)
     std = np.full(len(found), np.nan)
     if fusion.components:
         std_xyz = fusion.components[0].landmarks.std

@@ -1,8 +1,9 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
 """
-Node of a robot that has a bundle: announces all landmarks, compresses those it is asked for, and
-brings the robot's path into agreement with the map of the fleet.
+Node of a robot that has a bundle: announces all landmarks, compresses those it is asked for.
+
+It brings the robot's path into agreement with the map of the fleet.
 """
 
 from __future__ import annotations

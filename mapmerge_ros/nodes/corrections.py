@@ -52,7 +52,7 @@ class Corrections:
 
 
 def _poses(named: NamedBundle, corrected: Corrected) -> list[Any]:
-    """PoseStamped of each key frame's optical frame."""
+    """A PoseStamped of each key frame's optical frame."""
     return [
         PoseStamped(
             header=Header(stamp=_time(stamp_ns), frame_id=corrected.global_frame),

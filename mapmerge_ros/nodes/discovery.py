@@ -19,6 +19,14 @@ from mapmerge_ros.nodes.quality import Quality, demand
 Receive = Callable[[str, bytes], None]
 """Takes the topic, and a serialised message."""
 
+BURST = 32
+"""
+Messages of one topic that are received in one turn of the executor, a few milliseconds.
+
+A turn costs as much as a message, and while a merge runs in the other thread it may have to wait
+5 ms for the interpreter.
+"""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Subscribed:
@@ -86,7 +94,7 @@ class SubmapTopics:
         subscription = self._node.create_subscription(
             SubMap,
             topic,
-            partial(self._receive, topic),
+            partial(self._take, topic),
             quality.profile(self._settings.depth),
             raw=True,
             # The default one warns without a name; `poll` does it better.
@@ -95,6 +103,12 @@ class SubmapTopics:
         self._subscribed[topic] = _Subscribed(subscription, quality)
         self._node.get_logger().info(f'listening to {topic}')
 
+    def _take(self, topic: str, raw: bytes) -> None:
+        """Receive a message, and what waits behind it."""
+        self._receive(topic, raw)
+        if topic in self._subscribed:
+            self._drain(topic, self._subscribed[topic].subscription, BURST - 1)
+
     def _adapt(self, topic: str) -> list[str]:
         """Demand what the publishers of today offer; a line for each that offers less."""
         publishers = self._publishers(topic)
@@ -102,7 +116,7 @@ class SubmapTopics:
         old = self._subscribed[topic]
         if offers and demand(offers, self._settings) != old.quality:
             self._subscribe(topic)
-            self._drain(topic, old.subscription)
+            self._drain(topic, old.subscription, self._settings.depth)
             self._node.destroy_subscription(old.subscription)
         quality = self._subscribed[topic].quality
         return [
@@ -111,10 +125,13 @@ class SubmapTopics:
             if (missing := quality.missing_from(offer))
         ]
 
-    def _drain(self, topic: str, subscription: Any) -> None:
-        """Read what has arrived before the subscription goes."""
+    def _drain(self, topic: str, subscription: Any, limit: int) -> None:
+        """Receive what has arrived, `limit` messages at most."""
         with subscription.handle:
-            while (taken := subscription.handle.take_message(SubMap, True)) is not None:
+            for _ in range(limit):
+                taken = subscription.handle.take_message(SubMap, True)
+                if taken is None:
+                    return
                 self._receive(topic, taken[0])
 
     def _publishers(self, topic: str) -> list[Any]:

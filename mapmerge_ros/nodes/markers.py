@@ -44,7 +44,7 @@ class Drawing:
     max_ellipsoids: int
 
     def message(self) -> Any:
-        """MarkerArray that takes the place of the one before."""
+        """A MarkerArray that takes the place of the one before."""
         clear = Marker(header=self.header, action=Marker.DELETEALL)
         return MarkerArray(markers=[clear, *self._markers()])
 

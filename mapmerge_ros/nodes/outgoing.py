@@ -37,17 +37,17 @@ class Outgoing:
         return Header(stamp=self.stamp, frame_id=self.config.global_frame)
 
     def alignments(self) -> Any:
-        """AlignmentArray of every sub-map that the engine held."""
+        """Alignments of every sub-map that the engine held."""
         found = [_alignment(item) for item in self.fusion.alignments]
         return AlignmentArray(header=self.header, alignments=found)
 
     def changes(self) -> Any:
-        """ChangeArray of what was taken out of the merge."""
+        """Changes, that is what was taken out of the merge."""
         found = [_change(change) for change in self.fusion.changes]
         return ChangeArray(header=self.header, changes=found)
 
     def status(self, ledger: Ledger) -> Any:
-        """FusionStatus with the evidence of this fusion and the counters of the node."""
+        """Status with the evidence of this fusion and the counters of the node."""
         message = FusionStatus(header=self.header, global_map_id=self.config.map_id)
         fill_counters(message, ledger)
         _fill_counts(message, self.fusion)

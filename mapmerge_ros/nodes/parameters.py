@@ -167,7 +167,7 @@ CONFIG_SETTINGS = (
         'request_bytes',
         CONFIG.request_bytes,
         'Largest message that a robot may answer with, its catalogue included; 0: no limit.',
-        -1,
+        0,
         128 * 2**20,
     ),
     Setting(

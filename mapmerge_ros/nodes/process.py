@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from threadpoolctl import threadpool_limits
 
 from mapmerge_ros.errors import MapMergeError
 
@@ -32,7 +33,12 @@ class ClosableNode(Protocol):
 
 
 def run_node(make: Callable[[], ClosableNode], args: Sequence[str] | None = None) -> int:
-    """Spin a node until SIGINT or SIGTERM; the exit code of the process."""
+    """Spin a node until SIGINT or SIGTERM, with one BLAS thread; the exit code of the process."""
+    with threadpool_limits(1):
+        return _run(make, args)
+
+
+def _run(make: Callable[[], ClosableNode], args: Sequence[str] | None) -> int:
     # rclpy ends the spin at both signals; Python's own answer would cut a callback short.
     signal.signal(signal.SIGINT, _keep_calm)
     rclpy.init(args=None if args is None else list(args))

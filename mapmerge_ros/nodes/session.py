@@ -16,6 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from mapmerge_ros.fusion import Fusion, FusionEngine
 from mapmerge_ros.io import InvalidMessage, decode_submap
+from mapmerge_ros.io.typestore import typestore
 from mapmerge_ros.nodes.answers import Answers
 from mapmerge_ros.nodes.diagnostics import Health
 from mapmerge_ros.nodes.discovery import SubmapTopics
@@ -63,6 +64,7 @@ class Session:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._poll = node.create_timer(POLL_S, self._on_poll, clock=steady)
         self._jumps = node.get_clock().create_jump_callback(BACKWARD, post_callback=self._on_jump)
+        typestore()  # takes a quarter of a second, for which the first messages would wait
 
     @property
     def fusion(self) -> Fusion | None:

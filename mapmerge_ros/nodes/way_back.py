@@ -45,7 +45,7 @@ class Corrected:
 
     @property
     def rotations_global_camera(self) -> Floats:
-        """(m, 3, 3)"""
+        """Rotations (m, 3, 3) of the optical frames."""
         turned: Floats = self.S_global_map.rotation @ np.swapaxes(
             self.bundle.rotations_camera_map, 1, 2
         )

@@ -34,7 +34,7 @@ class Camera:
 
     @property
     def intrinsics(self) -> Floats:
-        """(4,) fx fy cx cy [px]"""
+        """Focal lengths and principal point (4,): fx fy cx cy [px]."""
         return np.array([self.focal_px, self.focal_px, self.width_px / 2.0, self.height_px / 2.0])
 
 

@@ -28,7 +28,7 @@ class Trajectory:
 
     @property
     def translations_camera_world(self) -> Floats:
-        """(m, 3)"""
+        """Translations (m, 3)."""
         turned: Floats = np.einsum('mij,mj->mi', self.rotations_camera_world, self.centres)
         return -turned
 

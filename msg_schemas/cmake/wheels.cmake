@@ -1,4 +1,4 @@
-# Copyright mapmerge_ros maintainers
+# Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
 #
 # What an interface package needs where ROS 2 comes from wheels; it changes nothing elsewhere.

@@ -29,25 +29,25 @@ SETTLED = 1e-3
 
 
 def initial_points(
-    cost: JointCost, S_centre_maps: Mapping[int, Similarity], centre: int
+    cost: JointCost, S_centre_maps: Mapping[int, Similarity], centre: int, steps: int = STEPS
 ) -> Floats:
     """
     Landmarks (tracks, 3) in the frame of the central sub-map.
 
     `S_centre_maps` holds the frame of every sub-map, by index. The centre stays where it is,
-    every other frame moves in the group of its own gauge towards the mean of all.
+    every other frame moves in the group of its own gauge towards the mean of all, `steps` times.
     """
     frames = Similarities.of([S_centre_maps[k] for k in range(len(cost))])
     free = np.arange(7) < cost.gauges[:, None]
     free[centre] = False
-    for _ in range(STEPS):
+    for _ in range(steps):
         if not free.any():
             break
-        steps = _steps(cost, frames, free)
-        if not np.isfinite(steps).all() or np.abs(steps[:, 6]).max() > 1.0:
+        tangents = _steps(cost, frames, free)
+        if not np.isfinite(tangents).all() or np.abs(tangents[:, 6]).max() > 1.0:
             break  # links too weak for a system of all frames: the tree's frames have to do
-        frames = _moved(frames, steps)
-        if np.abs(steps[:, 3:]).max() < SETTLED:
+        frames = _moved(frames, tangents)
+        if np.abs(tangents[:, 3:]).max() < SETTLED:
             break
     return _mean(cost, frames, _weights(cost, frames))
 

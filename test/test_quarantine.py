@@ -1,0 +1,176 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A sub-map that is wrong as a whole is named and kept out; the others stay merged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gaussian_merges import merged, noise, scene
+
+from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, fuse
+from mapmerge_ros.fusion.contrasts import contrasts
+from mapmerge_ros.fusion.likelihood import weigh
+from mapmerge_ros.fusion.misfit import without_map
+from mapmerge_ros.fusion.quarantine import Search
+from mapmerge_ros.io.summary import summarise
+from mapmerge_ros.submap import SubMap
+
+pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres: pip install pycolmap')
+
+from mapmerge_ros.bundle.bundle import FramePrior
+from mapmerge_ros.geometry import Gauge
+from mapmerge_ros.simulation import FleetConfig, simulate_fleet
+from mapmerge_ros.simulation.drones import Sensing
+
+
+@pytest.fixture(scope='module')
+def submaps() -> list[SubMap]:
+    return list(simulate_fleet(FleetConfig(drones=6), 71).submaps(catalogue=False))
+
+
+def bent(submap: SubMap, share: float) -> SubMap:
+    centred = submap.points - submap.points.mean(axis=0)
+    axes = np.linalg.svd(centred, full_matrices=False)[2]
+    along = centred @ axes[0]
+    raised = np.outer(share * along**2 / np.abs(along).max(), axes[2])
+    return replace(submap, points=submap.points + raised)
+
+
+def shaken(submap: SubMap, factor: float, seed: int) -> SubMap:
+    white = factor * submap.sigma * np.random.default_rng(seed).normal(size=submap.rank)
+    errors = np.linalg.lstsq(submap.triangle(), white, rcond=None)[0].reshape(-1, 3)
+    return replace(submap, points=submap.points + errors)
+
+
+def with_one(submaps, k, damaged):
+    return [damaged if at == k else submap for at, submap in enumerate(submaps)]
+
+
+@pytest.mark.parametrize(('k', 'kind'), [(3, 'bent'), (0, 'shaken')])
+def test_the_wrong_one_is_named_and_the_rest_is_believed(submaps, k, kind):
+    damaged = bent(submaps[k], 0.1) if kind == 'bent' else shaken(submaps[k], 4.0, k)
+    fusion = fuse(with_one(submaps, k, damaged))
+    (item,) = fusion.quarantined
+    assert item.submap.map_id == damaged.map_id
+    assert item.state is State.REFUSED
+    assert fusion.verdict.accepted
+    assert len(fusion.components[0].map_ids) == 5
+    others = {submap.map_id for submap in submaps} - {damaged.map_id}
+    assert set(item.quarantine.contradicts) <= others
+    assert item.quarantine.p_value < 1e-6
+    assert item.quarantine.distance > 0.0
+    assert all(name in item.reason for name in item.quarantine.contradicts)
+
+
+def test_the_rest_is_the_map_without_it(submaps):
+    damaged = with_one(submaps, 3, bent(submaps[3], 0.1))
+    found = fuse(damaged).components[0].landmarks
+    alone = fuse([submap for k, submap in enumerate(damaged) if k != 3]).components[0].landmarks
+    np.testing.assert_array_equal(found.ids, alone.ids)
+    np.testing.assert_array_equal(found.points_global, alone.points_global)
+
+
+def test_two_that_are_wrong_are_both_named(submaps):
+    damaged = with_one(submaps, 0, bent(submaps[0], 0.1))
+    damaged = with_one(damaged, 3, bent(damaged[3], 0.2))
+    fusion = fuse(damaged)
+    names = {item.submap.map_id for item in fusion.quarantined}
+    assert names == {damaged[0].map_id, damaged[3].map_id}
+    assert fusion.verdict.accepted
+
+
+def test_of_two_nobody_can_tell(submaps):
+    fusion = fuse([submaps[0], bent(submaps[5], 0.2)])
+    assert not fusion.quarantined
+    assert not fusion.verdict.accepted
+
+
+def test_without_unlocking_the_paper_s_test_refuses_all(submaps):
+    fusion = fuse(with_one(submaps, 3, bent(submaps[3], 0.1)), FusionConfig(unlock=False))
+    assert not fusion.quarantined
+    assert not fusion.verdict.accepted
+
+
+def test_unchanged_maps_stay(submaps):
+    assert not fuse(submaps).quarantined
+
+
+def test_a_revision_that_fits_comes_back(submaps):
+    engine = FusionEngine()
+    for submap in with_one(submaps, 3, bent(submaps[3], 0.1)):
+        engine.add(submap)
+    assert len(engine.fuse().quarantined) == 1
+    engine.add(replace(submaps[3], revision=submaps[3].revision + 1))
+    fusion = engine.fuse()
+    assert not fusion.quarantined
+    assert len(fusion.components[0].map_ids) == 6
+
+
+def test_a_metric_map_of_another_scale_is_named():
+    sensing = Sensing(gauge=Gauge.RIGID, prior=FramePrior(scale_std_ratio=0.003))
+    submaps = list(simulate_fleet(FleetConfig(sensing=sensing), 70).submaps(catalogue=False))
+    wrong = replace(submaps[2], points=1.03 * submaps[2].points)
+    fusion = fuse(with_one(submaps, 2, wrong))
+    assert [item.submap.map_id for item in fusion.quarantined] == [wrong.map_id]
+    assert not fuse(submaps).quarantined
+
+
+def test_the_summary_says_why(submaps):
+    wrong = bent(submaps[3], 0.1)
+    rows = summarise(fuse(with_one(submaps, 3, wrong)))['sub_maps']
+    evidence = {row['map_id']: row['quarantine'] for row in rows}
+    assert evidence.pop(wrong.map_id)['contradicts']
+    assert set(evidence.values()) == {None}
+
+
+def test_many_culprits_take_few_merges(submaps):
+    """Of thirty-two maps three are wrong: a number of merges that grows with the logarithm."""
+    group, wrong, tried = tuple(range(32)), {3, 17, 29}, []
+    plain = fuse(submaps[:3]).components[0]
+
+    def merged_group(left):
+        inside = wrong & set(left)
+        verdict = replace(
+            plain.verdict, accepted=not inside, a_tilde=plain.verdict.a_tilde * (1 + len(inside))
+        )
+        names = tuple(map(str, left))
+        component = replace(plain, map_ids=names, verdict=verdict)
+        costs = np.array([9.0 if k in wrong else 1.0 + 0.1 * k for k in left])
+        return Fake(component, costs)
+
+    def merge_without(culprits):
+        tried.append(culprits)
+        left = tuple(k for k in group if k not in culprits)
+        return [(left, merged_group(left))]
+
+    found = Search(group, merged_group(group), merge_without, lambda part: True).culprits()
+    assert set(found.without) == wrong
+    assert len(tried) <= 14
+
+
+class Fake:
+    def __init__(self, component, cost_ratios):
+        self.component, self.cost_ratios = component, cost_ratios
+
+
+def test_contrasts_without_a_map_are_those_of_the_others():
+    """Price and freedom of the others do not depend on what the one that is left out says."""
+    rng = np.random.default_rng(5)
+    points, members, matrices = scene(rng, maps=4, landmarks=40, views=(2, 4))
+    errors = noise(rng, points, members, matrices)
+    disturbed = errors.copy()
+    part = members.of_map(2)
+    disturbed[part] += rng.normal(size=disturbed[part].shape)
+    prices = []
+    for own in (errors, disturbed):
+        data = contrasts(merged(points, members, matrices, own), 600)
+        rest = without_map(data, part)
+        prices.append(weigh(rest, np.array([1.0, 0.1, 0.1])).price(rest))
+        assert abs(rest.from_members[:, part]).sum() == 0.0
+        identity = (rest.from_members @ rest.from_members.T).toarray()
+        np.testing.assert_allclose(identity, np.eye(len(rest.tracks)), atol=1e-12)
+    assert prices[0] == pytest.approx(prices[1], rel=1e-6)
+    assert rest.dof == 3 * len(rest.tracks) - 14
