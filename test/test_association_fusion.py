@@ -13,6 +13,7 @@ from associated import partition
 from mapmerge_ros.association import Memory, associate
 from mapmerge_ros.bundle import announce, compress
 from mapmerge_ros.bundle.answer import answer
+from mapmerge_ros.bundle.selection import matched
 from mapmerge_ros.fusion import FusionEngine, State, fuse
 from mapmerge_ros.fusion.offline import choose_for_bundles
 from mapmerge_ros.geometry import Similarity, align
@@ -192,6 +193,24 @@ def test_a_map_under_two_names_is_refused_and_the_rest_is_as_without_it(submaps,
     assert distances(fusion, expected)[1].max() < 1e-3
 
 
+@pytest.mark.parametrize('is_moved', [False, True])
+def test_a_map_under_two_names_in_one_id_space_is_refused_as_well(fleet, is_moved):
+    names = [replace(name, id_space='yard') for name in fleet.names]
+    chosen = matched(fleet.bundles, CAP)
+    submaps = [
+        compress(bundle, name, ids, catalogue=False)
+        for bundle, name, ids in zip(fleet.bundles, names, chosen, strict=True)
+    ]
+    bundle = fleet.bundles[1]
+    if is_moved:
+        bundle = bundle.transformed(Similarity.exp(np.random.default_rng(0).normal(size=7)))
+    twin = compress(bundle, replace(names[1], map_id='twin'), chosen[1][:-5], catalogue=False)
+    fusion, expected = fuse([*submaps, twin]), fuse(submaps)
+    assert states(fusion) == {**states(expected), 'twin': State.REFUSED}
+    assert 'count twice' in reason(fusion, 'twin')
+    assert distances(fusion, expected)[1].max() < 1e-9
+
+
 def test_two_maps_of_one_place_are_no_copies(fleet):
     """As near to each other as real ones ever come: 1e-4 of the extent, here 3 mm."""
     bundle, name = fleet.bundles[0], fleet.names[0]
@@ -199,6 +218,9 @@ def test_two_maps_of_one_place_are_no_copies(fleet):
     near = replace(bundle, points=bundle.points + 1e-4 * np.std(bundle.points) * noise)
     other = replace(name, map_id='again', robot_id='again')
     ids = bundle.point_ids[:CAP]
+    fusion = fuse([compress(bundle, name, ids), compress(near, other, ids)])
+    assert set(states(fusion).values()) == {State.MERGED}
+    name, other = (replace(each, id_space='yard') for each in (name, other))
     fusion = fuse([compress(bundle, name, ids), compress(near, other, ids)])
     assert set(states(fusion).values()) == {State.MERGED}
 

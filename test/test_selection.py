@@ -9,7 +9,13 @@ import pytest
 from scenes import random_bundle
 
 from mapmerge_ros.bundle import MapName, compress
-from mapmerge_ros.bundle.quality import TrackQuality, good_tracks, tail_ratio, track_variances
+from mapmerge_ros.bundle.linearise import linearise
+from mapmerge_ros.bundle.quality import (
+    TrackQuality,
+    TrackResiduals,
+    claimed_variances,
+    good_tracks,
+)
 from mapmerge_ros.bundle.selection import best_tracks, matched
 from mapmerge_ros.fusion import fuse
 
@@ -44,7 +50,7 @@ def test_a_bad_area_keeps_its_best():
     bundle = with_bad_tracks(plain, corner, 8.0)
     rows = np.arange(200)
     good = good_tracks(bundle, rows, QUALITY)
-    variances = track_variances(bundle)
+    variances = TrackResiduals.of(linearise(bundle)).variances(QUALITY.prior_redundancy)
     assert 15 <= good[corner].sum() <= 30  # about a third
     assert good.sum() > 120
     kept, dropped = corner[good[corner]], corner[~good[corner]]
@@ -72,9 +78,21 @@ def test_quality_does_not_depend_on_the_frame():
 
 def test_gaussian_sessions_keep_every_track():
     bundle = random_bundle(5, points=200)
-    assert 0.8 < tail_ratio(bundle) < QUALITY.gaussian_tail_ratio
+    lin = linearise(bundle)
+    assert 0.8 < TrackResiduals.of(lin).tail_ratio < QUALITY.gaussian_tail_ratio
     assert good_tracks(bundle, np.arange(200), QUALITY).all()
-    assert tail_ratio(with_bad_tracks(bundle, np.arange(30), 8.0)) > 2.0
+    np.testing.assert_array_equal(claimed_variances(lin, 0.3), np.full(200, 0.3))
+
+
+def test_a_point_that_its_own_session_sees_badly_is_announced_as_less_sure():
+    bundle = with_bad_tracks(random_bundle(5, points=200), np.arange(30), 8.0)
+    lin = linearise(bundle)
+    assert TrackResiduals.of(lin).tail_ratio > 2.0
+    pooled = lin.cost_px2 / (bundle.residual_count - bundle.dof)
+    claimed = claimed_variances(lin, pooled)
+    assert claimed.max() <= pooled
+    assert np.median(claimed[:30]) == pooled
+    assert np.median(claimed[30:]) < 0.6 * pooled
 
 
 @pytest.fixture(scope='module')

@@ -15,6 +15,7 @@ from mapmerge_ros.bundle.bundle import Bundle
 from mapmerge_ros.bundle.dense import eliminate_densely
 from mapmerge_ros.bundle.elimination import Elimination, point_information
 from mapmerge_ros.bundle.linearise import Linearisation, linearise
+from mapmerge_ros.bundle.quality import claimed_variances
 from mapmerge_ros.bundle.schur import eliminate_by_schur
 from mapmerge_ros.bundle.square_root import eliminate_by_qr
 from mapmerge_ros.errors import DegenerateGeometry
@@ -105,7 +106,8 @@ def compress(
     # An announcement eliminates nothing: its residuals are taken as those of an optimum.
     cost_px2 = found.a**2 if len(shared_rows) else lin.cost_px2
     variance = bundle.sigma_px**2 or cost_px2 / max(residual_count - dof, 1)
-    covariances = variance * np.linalg.inv(point_information(lin)[rows])
+    variances = claimed_variances(lin, variance)[rows]
+    covariances = variances[:, None, None] * np.linalg.inv(point_information(lin)[rows])
     return SubMap(
         map_id=name.map_id,
         robot_id=name.robot_id,

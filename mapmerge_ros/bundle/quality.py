@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.bundle.bundle import Bundle
 from mapmerge_ros.bundle.elimination import sum_by_point
-from mapmerge_ros.bundle.linearise import linearise
+from mapmerge_ros.bundle.linearise import Linearisation, linearise
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,26 +56,54 @@ class TrackQuality:
     """
 
 
-def track_variances(bundle: Bundle, prior_redundancy: float = 3.0) -> Floats:
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackResiduals:
+    """How well every track of a session fits its points."""
+
+    squares: Floats
+    """(n,) sum of squared residuals [px²]"""
+    redundancy: Floats
+    """(n,) residuals less the three coordinates that the point takes up"""
+
+    @classmethod
+    def of(cls, lin: Linearisation) -> TrackResiduals:
+        """Residuals of all tracks at the point of linearisation."""
+        squares = sum_by_point(lin, np.sum(lin.residuals_px**2, axis=1))
+        return cls(squares, 2.0 * np.bincount(lin.bundle.observation_points) - 3.0)
+
+    @property
+    def tail_ratio(self) -> float:
+        """Mean over typical residual variance of the tracks: 1 for Gaussian noise, else larger."""
+        # Wilson and Hilferty: the median of chi-square over its degrees of freedom.
+        medians = self.redundancy * (1.0 - 2.0 / (9.0 * self.redundancy)) ** 3
+        typical = float(np.median(self.squares / medians))
+        mean = float(np.sum(self.squares) / np.sum(self.redundancy))
+        return mean / typical if typical > 0.0 else 1.0
+
+    def variances(self, prior_redundancy: float) -> Floats:
+        """
+        Residual variance (n,) [px²] of each track.
+
+        The session's median is mixed in with the weight of `prior_redundancy` residuals.
+        """
+        typical = np.median(self.squares / self.redundancy)
+        total = prior_redundancy * typical + self.squares
+        return np.asarray(total / (prior_redundancy + self.redundancy))
+
+
+def claimed_variances(lin: Linearisation, pooled_px2: float) -> Floats:
     """
-    Residual variance (n,) [px²] of each track, over its own redundancy.
+    Noise (n,) [px²] that each point of a session is said to be seen with.
 
-    Three coordinates of a track are taken up by its point. The session's median is mixed in with
-    the weight of `prior_redundancy` coordinates.
+    `pooled_px2`, the session's, where noise is Gaussian. Where whole tracks sit on the wrong key
+    point, each track's own: a bad one must not be taken for as sure as its neighbours.
     """
-    squares, redundancy = _residuals(bundle)
-    typical = np.median(squares / redundancy)
-    variances: Floats = (prior_redundancy * typical + squares) / (prior_redundancy + redundancy)
-    return variances
-
-
-def tail_ratio(bundle: Bundle) -> float:
-    """Mean over typical residual variance of the tracks: 1 for Gaussian noise, else larger."""
-    squares, redundancy = _residuals(bundle)
-    # Wilson and Hilferty: the median of chi-square over its degrees of freedom.
-    medians = redundancy * (1.0 - 2.0 / (9.0 * redundancy)) ** 3
-    typical = float(np.median(squares / medians))
-    return float(np.sum(squares) / np.sum(redundancy)) / typical if typical > 0.0 else 1.0
+    quality, residuals = TrackQuality(), TrackResiduals.of(lin)
+    if residuals.tail_ratio <= quality.gaussian_tail_ratio:
+        return np.full(len(residuals.squares), pooled_px2)
+    prior = quality.prior_redundancy
+    own = (prior * pooled_px2 + residuals.squares) / (prior + residuals.redundancy)
+    return np.minimum(own, pooled_px2)
 
 
 def good_tracks(bundle: Bundle, rows: Ints, quality: TrackQuality) -> Mask:
@@ -85,9 +113,10 @@ def good_tracks(bundle: Bundle, rows: Ints, quality: TrackQuality) -> Mask:
     Good are those in the better part of the session, and the best of every area, so that no
     part of the map is left without landmarks. All are, where the session has no heavy tails.
     """
-    if tail_ratio(bundle) <= quality.gaussian_tail_ratio:
+    residuals = TrackResiduals.of(linearise(bundle))
+    if residuals.tail_ratio <= quality.gaussian_tail_ratio:
         return np.ones(len(rows), np.bool_)
-    variances = track_variances(bundle, quality.prior_redundancy)
+    variances = residuals.variances(quality.prior_redundancy)
     good: Mask = variances[rows] <= np.quantile(variances, quality.good_ratio)
     if not len(rows):
         return good
@@ -97,10 +126,3 @@ def good_tracks(bundle: Bundle, rows: Ints, quality: TrackQuality) -> Mask:
     better = (variances[rows][near] < variances[rows][:, None]).sum(axis=1)
     good |= better < quality.best_of_area
     return good
-
-
-def _residuals(bundle: Bundle) -> tuple[Floats, Floats]:
-    """Sum of squared residuals [px²] and redundancy of each track, (n,) both."""
-    lin = linearise(bundle)
-    squares = sum_by_point(lin, np.sum(lin.residuals_px**2, axis=1))
-    return squares, 2.0 * np.bincount(bundle.observation_points) - 3.0

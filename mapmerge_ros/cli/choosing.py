@@ -41,7 +41,7 @@ def choose(
     names: Sequence[MapName],
     wanted: str | int,
     budget: Budget,
-    good_only: bool = True,
+    good_only: bool = False,
 ) -> tuple[Ids, ...]:
     """
     Ids of the points to compress, per bundle.
@@ -52,13 +52,18 @@ def choose(
         Not even a sub-map without compressed landmarks keeps the bytes.
 
     """
-    quality = TrackQuality() if good_only else None
+    quality = TrackQuality()
     most = [_most(*own, budget) for own in zip(bundles, names, strict=True)]
     matched: tuple[Ids, ...] = tuple(bundle.point_ids[:0] for bundle in bundles)
     if wanted == 'matched' or (wanted != 'all' and len(bundles) > 1):
         cap = budget.max_landmarks if wanted == 'matched' else int(wanted)
         matched = choose_for_bundles(
-            bundles, names, cap, quality, budget.max_bytes, catalogue=budget.catalogue
+            bundles,
+            names,
+            cap,
+            quality if good_only else None,
+            budget.max_bytes,
+            catalogue=budget.catalogue,
         )
     if wanted == 'matched':
         if len(bundles) > 1 and not any(len(ids) for ids in matched):
@@ -86,7 +91,7 @@ def _most(bundle: Bundle, name: MapName, budget: Budget) -> int:
     return most
 
 
-def _filled(bundle: Bundle, ids: Ids, count: int, quality: TrackQuality | None) -> Ids:
+def _filled(bundle: Bundle, ids: Ids, count: int, quality: TrackQuality) -> Ids:
     """`ids`, and the best tracks beside them until there are `count`."""
     if len(ids) >= count:
         return ids[:count]

@@ -61,10 +61,10 @@ def add_parser(subparsers: Subparsers) -> None:
         help='largest message of a model, its catalogue included; fewer points are compressed',
     )
     add(
-        '--all-tracks',
+        '--good-tracks',
         action='store_true',
-        help='choose bad tracks as well, as with --id-space: those with larger residuals than two '
-        'thirds of their session, and than four of their twelve neighbours',
+        help='leave out points with larger residuals than two thirds of their session and than '
+        'four of their twelve neighbours, instead of taking them last',
     )
     add(
         '--lens-prior',
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     check_file(args.out, '.mcap')
     bundles = models.load(args)
     budget = Budget(args.max_landmarks, args.max_bytes or 0, not args.no_catalogue)
-    chosen = choose(bundles, names, wanted, budget, not (args.all_tracks or args.id_space))
+    chosen = choose(bundles, names, wanted, budget, args.good_tracks)
     bundles = [
         with_uncertain_lens(bundle, name, args.lens_prior)
         for bundle, name in zip(bundles, names, strict=True)

@@ -14,7 +14,8 @@ from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.changes import Change, Off, describe
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.honest import Examination
+from mapmerge_ros.fusion.covariance_model import CovarianceModel
+from mapmerge_ros.fusion.examination import Examination
 from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.fusion.outcome import Verdict
 from mapmerge_ros.fusion.outgoing import Merged, compress_component
@@ -150,7 +151,12 @@ class _Task:
     stopwatch: Stopwatch
     warm: Warm
 
-    def attempt(self, association: Association, taken_out: tuple[Off, ...]) -> _State:
+    def attempt(
+        self,
+        association: Association,
+        taken_out: tuple[Off, ...],
+        known: CovarianceModel | None = None,
+    ) -> _State:
         # A basin that was believed before is not looked for again.
         config = replace(self.config, max_starts=1) if taken_out else self.config
         with self.stopwatch.measure('merge'):
@@ -168,6 +174,7 @@ class _Task:
                 solution.dof,
                 self.noise,
                 self.config,
+                known,
             )
         return _State(association, solution, verdict, examination, taken_out)
 
@@ -186,7 +193,7 @@ class _Task:
         if not self._connected(association):
             return None
         try:
-            return self.attempt(association, (*state.taken_out, off))
+            return self.attempt(association, (*state.taken_out, off), examined.found.model)
         except DegenerateGeometry:
             return None
 

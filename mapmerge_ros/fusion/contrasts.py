@@ -50,6 +50,8 @@ class Contrasts:
     """(3t, Σg_k - g) orthonormal: differences that frames can explain"""
     unit: float
     """Typical standard deviation of a difference [map units]"""
+    radius: float
+    """Of the scene [map units]"""
     pairs: tuple[Ints, Ints, Ints, Floats]
     """Contrasts (p,) and (p,) that have the same member (p,), and the product of their weights"""
 
@@ -122,6 +124,7 @@ class Contrasts:
             self.smooth[np.ix_(rows, rows)],
             np.linalg.qr(self.frames[at])[0],
             self.unit,
+            self.radius,
             same_member_pairs(helmert),
         )
 
@@ -173,6 +176,7 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
         smooth=smooth,
         frames=left,
         unit=unit,
+        radius=radius,
         pairs=same_member_pairs(helmert),
     )
 

@@ -9,7 +9,7 @@ field swallows them; they are put back under the model, or warp is called an obj
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import scipy.stats
@@ -18,18 +18,20 @@ from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.conditional import conditional_tests
 from mapmerge_ros.fusion.confirm import confirmed, members_of, p_objects
-from mapmerge_ros.fusion.contrasts import NOBODY, Contrasts, contrasts
+from mapmerge_ros.fusion.contrasts import Contrasts, contrasts
 from mapmerge_ros.fusion.covariance_model import (
     LARGEST_TAIL,
     TEXTBOOK,
     CovarianceModel,
     Fitted,
+    as_known,
     fit_model,
     model_sensitivity,
     settled,
 )
 from mapmerge_ros.fusion.doubtful import doubtful_members
-from mapmerge_ros.fusion.local import LocalTests, Sensitivity, forward_selection, sensitivity, tail
+from mapmerge_ros.fusion.examination import Examination, by_textbook
+from mapmerge_ros.fusion.local import Sensitivity, forward_selection, sensitivity, tail
 from mapmerge_ros.fusion.objects import (
     LEAST_STATISTIC,
     MovedObject,
@@ -37,7 +39,7 @@ from mapmerge_ros.fusion.objects import (
 )
 from mapmerge_ros.fusion.plausible import largest_variances
 from mapmerge_ros.fusion.quadratic import Quadratic
-from mapmerge_ros.fusion.scales import ScaleTest, wrong_scale
+from mapmerge_ros.fusion.scales import wrong_scale
 from mapmerge_ros.fusion.tails import GAUSSIAN, are_gaussian
 
 MIN_CONTRASTS, MAX_CONTRASTS = 50, 600
@@ -74,54 +76,30 @@ Merged landmarks up to which single ones are tested and objects looked for.
 Beyond, dense algebra takes longer than the merge is worth; the price is tested on a sample.
 """
 
+MAX_REFITS = 3
+"""
+Fits with other objects off, until these are those that stand under the fit; one is usual.
+
+A model in which an object had no say that is none any more would be too narrow for the rest.
+"""
+
 MEDIAN_CHI2 = float(scipy.stats.chi2.median(3))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Examination:
-    """What is wrong with a merge, and whether the rest can be believed."""
-
-    model: CovarianceModel | None
-    """None: the textbook holds, or nothing else may be believed"""
-    objects: tuple[MovedObject, ...]
-    aside: Ints
-    """Members beyond all else, one of a track at most"""
-    tests: LocalTests | None
-    """
-    Of every member, p-values under the model, given that objects and what is aside are off.
-
-    None in a very large merge.
-    """
-    textbook_tests: LocalTests | None
-    """Every sub-map believed to the letter, all members locked"""
-    price: float
-    """Of what is neither an object nor aside, under the model"""
-    dof: int
-    p_objects: float
-    """That objects as strong as these are errors under the model; 1 without any"""
-    p_value: float
-    """
-    Of that price, of so many bad landmarks and of the worst: thrice the least of the three.
-
-    Zero if more is set aside than may be.
-    """
-    doubtful: Ints
-    """
-    Single members that are off, under false-discovery control, none of them in an object.
-
-    Nobody where the geometry is not certain, or in a very large merge.
-    """
-    wrong_scale: ScaleTest | None = None
-    """Metric sub-map that is larger or smaller than the others have it"""
-
-
-def examine(merge: Quadratic, redundancy: float, *, certain: bool) -> Examination:
+def examine(
+    merge: Quadratic,
+    redundancy: float,
+    *,
+    certain: bool,
+    known: CovarianceModel | None = None,
+) -> Examination:
     """
     Examine a merge at its optimum.
 
     `redundancy` is that of an estimated σ (inf: known). Without `certain` geometry (a rotation
     between sub-maps weakly determined, no convergence) an excess may be a wrong basin, and only
-    the textbook test is believed.
+    the textbook test is believed. `known` is the model of the same sub-maps, fitted before the
+    worst of their landmarks were taken out.
 
     Raises
     ------
@@ -144,7 +122,7 @@ def examine(merge: Quadratic, redundancy: float, *, certain: bool) -> Examinatio
     if not (certain and enough) or (gaussian and plain.p_value >= TESTED_FIRST):
         return _with_doubtful(plain, state) if state and certain else plain
     try:
-        found = _under_model(merge, state, plain.objects)
+        found = _under_model(merge, state, plain.objects, known)
         return replace(found, textbook_tests=plain.textbook_tests, wrong_scale=plain.wrong_scale)
     except (DegenerateGeometry, np.linalg.LinAlgError):
         return plain  # so far off that no covariance describes it
@@ -153,12 +131,6 @@ def examine(merge: Quadratic, redundancy: float, *, certain: bool) -> Examinatio
 def _usual(statistics: Floats) -> float:
     """How much larger the statistics are than Gaussian ones, by the median; at least 1."""
     return max(1.0, float(np.median(statistics)) / MEDIAN_CHI2) if len(statistics) else 1.0
-
-
-def by_textbook(price: float, dof: int, redundancy: float) -> Examination:
-    """Examination that looks at the price alone, in units of σ²."""
-    p_value = float(tail(np.array(price), dof, redundancy)) if dof > 0 else 1.0
-    return Examination(None, (), NOBODY, None, None, price, dof, 1.0, p_value, doubtful=NOBODY)
 
 
 def _with_doubtful(plain: Examination, state: Sensitivity) -> Examination:
@@ -176,19 +148,21 @@ def _under_model(
     merge: Quadratic,
     textbook: Sensitivity | None,
     suspects: tuple[MovedObject, ...],
+    known: CovarianceModel | None,
 ) -> Examination:
     data = contrasts(merge, MAX_CONTRASTS, members_of(suspects))
     highest = largest_variances(merge, data)
-    fitted = _fit(data, highest, members_of(suspects))
+    fitted = _fit(data, highest, members_of(suspects), known)
     if textbook is None:
         return _judged(fitted, np.inf)
-    state = _state(merge, data, textbook, fitted)
-    objects = confirmed(state, merge.points, suspects, fitted.model)
-    if set(members_of(objects)) != set(members_of(suspects)):
+    objects, state = suspects, _state(merge, data, textbook, fitted)
+    for _ in range(MAX_REFITS):
+        before, objects = objects, confirmed(state, merge.points, objects, fitted.model)
+        if set(members_of(objects)) == set(members_of(before)):
+            break
         # from the start: variances that were fitted with half of the warp unlocked mislead
-        fitted = _fit(data, highest, members_of(objects))
+        fitted = _fit(data, highest, members_of(objects), known)
         state = _state(merge, data, textbook, fitted)
-        objects = confirmed(state, merge.points, objects, fitted.model)
     moved = members_of(objects)
     tests = conditional_tests(state, np.union1d(moved, fitted.aside))
     p_values = fitted.model.tails.p_value(tests.statistic, state.redundancy)
@@ -202,7 +176,9 @@ def _under_model(
     )
 
 
-def _fit(data: Contrasts, highest: Floats, moved: Ints) -> Fitted:
+def _fit(data: Contrasts, highest: Floats, moved: Ints, known: CovarianceModel | None) -> Fitted:
+    if known is not None:
+        return as_known(data, known, moved)
     fitted = fit_model(data, highest, moved)
     if fitted.gain >= MIN_GAIN:
         return fitted
@@ -231,15 +207,4 @@ def _judged(fitted: Fitted, redundancy: float) -> Examination:
     p_value = min(1.0, len(parts) * min(parts))
     if len(fitted.aside) > MAX_ASIDE * count:
         p_value = 0.0
-    return Examination(
-        fitted.model,
-        (),
-        fitted.aside,
-        None,
-        None,
-        fitted.price,
-        fitted.dof,
-        1.0,
-        p_value,
-        doubtful=NOBODY,
-    )
+    return Examination(fitted.price, fitted.dof, p_value, model=fitted.model, aside=fitted.aside)

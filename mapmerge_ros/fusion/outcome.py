@@ -13,7 +13,7 @@ from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.association import PairMatch
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.changes import Change
-from mapmerge_ros.fusion.honest import Examination
+from mapmerge_ros.fusion.examination import Examination
 from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.fusion.refusal import Quarantine
 from mapmerge_ros.geometry import Gauge, Similarity

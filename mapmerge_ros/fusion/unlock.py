@@ -13,7 +13,7 @@ from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.changes import Off
 from mapmerge_ros.fusion.confirm import members_of
-from mapmerge_ros.fusion.honest import Examination
+from mapmerge_ros.fusion.examination import Examination
 from mapmerge_ros.fusion.objects import MovedObject
 from mapmerge_ros.fusion.quadratic import Members
 from mapmerge_ros.geometry import Similarity

@@ -13,13 +13,9 @@ import scipy.stats
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
-from mapmerge_ros.fusion.honest import (
-    MAX_TRACKS,
-    TESTED_FIRST,
-    Examination,
-    by_textbook,
-    examine,
-)
+from mapmerge_ros.fusion.covariance_model import CovarianceModel
+from mapmerge_ros.fusion.examination import Examination, by_textbook
+from mapmerge_ros.fusion.honest import MAX_TRACKS, TESTED_FIRST, examine
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.misfit import MAX_RATIO, worst_map
@@ -103,6 +99,7 @@ def verify_merge(
     dof: int,
     noise: Noise,
     config: FusionConfig,
+    known: CovarianceModel | None = None,
 ) -> tuple[Verdict, Examination | None]:
     """
     Test a merge, with the errors that maps of real cameras have where the textbook refuses.
@@ -110,7 +107,8 @@ def verify_merge(
     `reduced` is the cost of the shared landmarks, as merged. What the textbook accepts
     stays accepted, with its own p-value, unless its landmarks are not Gaussian; what moved
     together is refused as long as it is merged. Where a model was needed, no sub-map may be
-    much worse than it is for the others.
+    much worse than it is for the others. `known` are the errors of these sub-maps, if something
+    has been taken out of their merge already.
     """
     textbook = verify(estimate.cost, dof, noise, config)
     if dof <= 0:
@@ -120,7 +118,7 @@ def verify_merge(
         return textbook, by_textbook(estimate.cost / noise.sigma**2, dof, redundancy)
     certain = estimate.converged and is_certain(links, len(reduced))
     merge = quadratic(reduced.elements(), estimate.points, gauge, noise.sigma)
-    found = examine(merge, redundancy, certain=certain)
+    found = examine(merge, redundancy, certain=certain, known=known)
     verdict = _judged(textbook, found, merge, config)
     return _unless_one_is_wrong(verdict, found, merge, map_ids, certain=certain), found
 
