@@ -22,6 +22,7 @@ from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.copies import without_copies
 from mapmerge_ros.fusion.groups import Problem, merge_groups
 from mapmerge_ros.fusion.links import find_links
+from mapmerge_ros.fusion.moved_far import with_moved_far
 from mapmerge_ros.fusion.outcome import Contradiction, Fusion, Match, Pair, Timing
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.requests import Denial, plan_requests
@@ -74,8 +75,11 @@ def fuse(
         )
         links = find_links(usable, association, config, warm)
         named = _named_contradictions(usable, association, links)
-        association = split_contradictions(
-            association, [(link.a, link.b, link.contradicting) for link in links]
+        joined, association = (
+            association,
+            split_contradictions(
+                association, [(link.a, link.b, link.contradicting) for link in links]
+            ),
         )
     merged, failures = merge_groups(
         Problem(
@@ -90,6 +94,10 @@ def fuse(
             warm,
         )
     )
+    merged = [
+        (group, with_moved_far(group, part, usable, joined, association, links))
+        for group, part in merged
+    ]
     matches = _matches(kept, found)
     alignments = [
         *aligned(usable, links, merged, matches),
