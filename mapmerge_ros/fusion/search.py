@@ -42,8 +42,8 @@ def search(
     Merge from one start after the other until the test believes it; the cheapest one counts.
 
     Deterministic, and a single start where no rotation is weakly determined: a refusal is then
-    about the data. Where one is, noise explains wrong basins too: two starts at least, of which
-    the cheaper is the right one in 10 of the 11 narrow rooms of 1000 where they disagree.
+    about the data. Where one is, noise explains wrong basins too: the cheaper of two starts at
+    least (19 wrong narrow rooms of 1000; from one start 23).
     `start` is where the last merge ended: it comes first, and does not count.
 
     Raises
