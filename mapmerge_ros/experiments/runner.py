@@ -75,7 +75,13 @@ def _outcomes(experiment: Experiment, runs: int, seed: int, jobs: int) -> Iterat
         with _interrupts_held():
             tasks = [pool.submit(_run, experiment.run_one, seed, run) for run in range(jobs)]
         tasks += [pool.submit(_run, experiment.run_one, seed, run) for run in range(jobs, runs)]
-        for task in as_completed(tasks):
+        finished = as_completed(tasks)
+        while True:
+            # An interrupt amid the locks of the pool could leave one taken: it waits for a result.
+            with _interrupts_held():
+                task = next(finished, None)
+            if task is None:
+                break
             yield task.result()
     except BrokenProcessPool as err:
         raise ExperimentError(
