@@ -35,11 +35,28 @@ class Generations(Generic[K, V]):
         """Begin a generation."""
         self._before, self._now = self._now, {}
 
+    def find(self, key: K) -> V | None:
+        """Return what is kept, which is used by that."""
+        found = self._now.get(key, self._before.get(key))
+        if found is not None:
+            self._now[key] = found
+        return found
+
+    def earlier(self, key: K) -> V | None:
+        """Return what the generation before had, which is not used by that."""
+        return self._before.get(key)
+
+    def keep(self, key: K, value: V) -> None:
+        """Keep a value for this generation and the next."""
+        self._now[key] = value
+
     def get(self, key: K, make: Callable[[], V]) -> V:
         """Return what is kept, or what is made now."""
-        found = self._before.get(key)
-        self._now[key] = found if found is not None else make()
-        return self._now[key]
+        found = self.find(key)
+        if found is None:
+            found = make()
+            self.keep(key, found)
+        return found
 
 
 class Memory:

@@ -158,9 +158,9 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
         at = coordinates(rows)
         covariance = shape_covariance(information, basis)
         differences[at] -= spread @ (covariance @ merge.gradient[part].ravel())
-        noise[np.ix_(at, at)] += _between(spread, covariance)
+        noise[np.ix_(at, at)] += between(spread, covariance)
         field = matern(merge.points[members.tracks[part]], SMOOTH_RADII * radius)
-        smooth[np.ix_(rows, rows)] += _between(own, field)
+        smooth[np.ix_(rows, rows)] += between(own, field)
         explained = np.zeros((count, basis.shape[1]))
         explained[at] = spread @ basis
         frames.append(explained)
@@ -243,6 +243,7 @@ def same_member_pairs(helmert: scipy.sparse.csr_array) -> tuple[Ints, Ints, Ints
     )
 
 
-def _between(rows: scipy.sparse.csr_array, covariance: Floats) -> Floats:
+def between(rows: scipy.sparse.csr_array, covariance: Floats) -> Floats:
+    """Covariance of some combinations (`rows`) of what has a covariance."""
     half = np.asarray(rows @ covariance)
     return np.asarray((rows @ half.T).T)

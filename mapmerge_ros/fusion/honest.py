@@ -151,7 +151,7 @@ def _under_model(
     known: CovarianceModel | None,
 ) -> Examination:
     data = contrasts(merge, MAX_CONTRASTS, members_of(suspects))
-    highest = largest_variances(merge, data)
+    highest = largest_variances(data)
     fitted = _fit(data, highest, members_of(suspects), known)
     if textbook is None:
         return _judged(fitted, np.inf)

@@ -16,7 +16,13 @@ import scipy.linalg
 import scipy.sparse
 
 from mapmerge_ros.arrays import Floats, Ints
-from mapmerge_ros.fusion.contrasts import NOBODY, Contrasts, contrasts, same_member_pairs
+from mapmerge_ros.fusion.contrasts import (
+    NOBODY,
+    Contrasts,
+    between,
+    contrasts,
+    same_member_pairs,
+)
 from mapmerge_ros.fusion.covariance_model import TEXTBOOK, fit_model
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.honest import MAX_CONTRASTS, MIN_CONTRASTS, MIN_GAIN
@@ -120,8 +126,8 @@ def without_map(data: Contrasts, part: slice) -> Contrasts:
         tracks=data.tracks[rows],
         owners=owned,
         differences=spread @ data.differences,
-        noise=_both_sides(spread, data.noise),
-        smooth=_both_sides(chosen, data.smooth),
+        noise=between(spread, data.noise),
+        smooth=between(chosen, data.smooth),
         frames=_basis(spread @ data.frames),
         pairs=same_member_pairs(helmert),
     )
@@ -132,7 +138,7 @@ def _alone(merge: Quadratic, data: Contrasts, k: int) -> MapTest | None:
     rest = without_map(data, merge.members.of_map(k))
     if len(rest.tracks) < MIN_CONTRASTS:
         return None
-    fitted = fit_model(rest, largest_variances(merge, data), NOBODY)
+    fitted = fit_model(rest, largest_variances(data), NOBODY)
     variances = fitted.model.variances if fitted.gain >= MIN_GAIN else TEXTBOOK
     variances = np.maximum(variances, [LEAST_PHI, 0.0, 0.0])
     weighing = weigh(data, variances).unlocked(data, fitted.aside)
@@ -180,11 +186,6 @@ def _statistic(information: Floats, score: Floats, gauge: int) -> float:
         information = information - information[:, at] @ solved
         free[row] = True
     return price
-
-
-def _both_sides(rows: scipy.sparse.csr_array, covariance: Floats) -> Floats:
-    half = np.asarray(rows @ covariance)
-    return np.asarray((rows @ half.T).T)
 
 
 def _basis(columns: Floats) -> Floats:

@@ -8,8 +8,6 @@ import numpy as np
 
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.fusion.contrasts import Contrasts
-from mapmerge_ros.fusion.quadratic import Quadratic
-from mapmerge_ros.geometry import scene_radius
 
 MAX_PHI, MAX_TAU_UNITS, MAX_OMEGA_RADII = 2.5, 1.0, 5e-3
 """
@@ -20,7 +18,7 @@ A merge that needs more is refused, whatever would explain it.
 """
 
 
-def largest_variances(merge: Quadratic, data: Contrasts) -> Floats:
+def largest_variances(data: Contrasts) -> Floats:
     """Variances (3,) that are believed of honest maps at most."""
-    radii = MAX_OMEGA_RADII * scene_radius(merge.points) / data.unit
+    radii = MAX_OMEGA_RADII * data.radius / data.unit
     return np.array([MAX_PHI, MAX_TAU_UNITS**2, radii**2])

@@ -23,7 +23,7 @@ from mapmerge_ros.fusion.outcome import ErrorModel, Verdict
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.quadratic import Quadratic, quadratic
 from mapmerge_ros.fusion.search import is_certain
-from mapmerge_ros.geometry import Gauge, scene_radius
+from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.submap import SubMap
 
 
@@ -119,7 +119,7 @@ def verify_merge(
     certain = estimate.converged and is_certain(links, len(reduced))
     merge = quadratic(reduced.elements(), estimate.points, gauge, noise.sigma)
     found = examine(merge, redundancy, certain=certain, known=known)
-    verdict = _judged(textbook, found, merge, config)
+    verdict = _judged(textbook, found, config)
     return _unless_one_is_wrong(verdict, found, merge, map_ids, certain=certain), found
 
 
@@ -151,9 +151,7 @@ def _unless_one_is_wrong(
     return replace(verdict, accepted=False, reason=f'{reason} explain', suspect=suspect)
 
 
-def _judged(
-    textbook: Verdict, found: Examination, merge: Quadratic, config: FusionConfig
-) -> Verdict:
+def _judged(textbook: Verdict, found: Examination, config: FusionConfig) -> Verdict:
     model, moved = found.model, sum(len(each.members) for each in found.objects)
     if textbook.accepted and not moved and (model is None or model.is_textbook):
         return textbook
@@ -161,11 +159,10 @@ def _judged(
         return replace(textbook, moved=moved)
     p_value = min(found.p_value, found.p_objects)  # as long as they are merged like all else
     accepted = p_value >= config.significance and not moved
-    radius = scene_radius(merge.points)
     errors = ErrorModel(
         model.phi,
-        model.tau / radius,
-        model.omega / radius,
+        model.tau / model.radius,
+        model.omega / model.radius,
         model.tails.freedom,
         found.price,
         found.dof,

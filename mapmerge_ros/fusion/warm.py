@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mapmerge_ros.arrays import Floats
-from mapmerge_ros.association import Memory
+from mapmerge_ros.association.memory import Generations, Memory
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.informations import informations
 from mapmerge_ros.fusion.joint.resume import Resumable
@@ -33,47 +33,44 @@ class Warm(Memory):
 
     def __init__(self) -> None:
         super().__init__()
-        self._kept_informations: dict[int, tuple[SubMap, Floats]] = {}
-        self._used_informations: dict[int, tuple[SubMap, Floats]] = {}
-        self._kept_pairs: dict[PairKey, Known] = {}
-        self._used_pairs: dict[PairKey, Known] = {}
-        self._kept_merges: dict[str, Resumable] = {}
-        self._used_merges: dict[str, Resumable] = {}
+        self._informations = Generations[int, tuple[SubMap, Floats]]()
+        self._pairs = Generations[PairKey, Known]()
+        self._merges = Generations[str, Resumable]()
 
     def turn(self) -> None:
         """Begin a fusion: forget what the one before did not use."""
         super().turn()
-        self._kept_informations, self._used_informations = self._used_informations, {}
-        self._kept_pairs, self._used_pairs = self._used_pairs, {}
-        self._kept_merges, self._used_merges = self._used_merges, {}
+        for kept in (self._informations, self._pairs, self._merges):
+            kept.turn()
 
     def informations(self, submaps: Sequence[SubMap]) -> tuple[Floats, ...]:
         """`alignment_weights` (m_k,) of each sub-map."""
-        kept, used = self._kept_informations, self._used_informations
-        used |= {id(one): kept[id(one)] for one in submaps if id(one) in kept}
-        new = [submap for submap in submaps if id(submap) not in used]
+        known = {id(one): self._informations.find(id(one)) for one in submaps}
+        new = [submap for submap in submaps if known[id(submap)] is None]
         for submap, weights in zip(new, informations(new), strict=True):
-            used[id(submap)] = submap, weights
-        return tuple(used[id(submap)][1] for submap in submaps)
+            self._informations.keep(id(submap), (submap, weights))
+            known[id(submap)] = submap, weights
+        return tuple(found[1] for one in submaps if (found := known[id(one)]))
 
     def known_link(self, a: SubMap, b: SubMap, condition: Condition) -> Link | None:
         """Link of two sub-maps, if it was found under the same conditions."""
         key = id(a), id(b)
-        known = self._kept_pairs.get(key)
+        known = self._pairs.earlier(key)
         if known is None or known[1] != condition:
             return None
-        self._used_pairs[key] = known
+        self._pairs.keep(key, known)
         return known[0]
 
     def learn_link(self, a: SubMap, b: SubMap, condition: Condition, link: Link) -> None:
         """Keep a link, its contradicting landmarks numbered within the pair."""
-        self._used_pairs[id(a), id(b)] = link, condition
+        self._pairs.keep((id(a), id(b)), (link, condition))
 
     def last_merge(self, map_ids: Sequence[str]) -> Resumable | None:
-        """Last merge that had the most of these sub-maps."""
-        found = [self._kept_merges[name] for name in map_ids if name in self._kept_merges]
+        """Last merge, of the fusion before, that had the most of these sub-maps."""
+        found = [merge for name in map_ids if (merge := self._merges.earlier(name))]
         return max(found, key=found.count, default=None)
 
     def learn_merge(self, merge: Resumable) -> None:
         """Keep a merge for the next time."""
-        self._used_merges |= dict.fromkeys(merge.members.map_ids, merge)
+        for name in merge.members.map_ids:
+            self._merges.keep(name, merge)
