@@ -16,6 +16,7 @@ import scipy.sparse
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.contrasts import Contrasts
+from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.likelihood import derivatives, step, weigh
 from mapmerge_ros.fusion.local import Sensitivity
 from mapmerge_ros.fusion.quadratic import Quadratic
@@ -183,21 +184,31 @@ def settled(
 def model_sensitivity(merge: Quadratic, data: Contrasts, model: CovarianceModel) -> Sensitivity:
     """Local tests under the fitted covariance: s = C'P w, J = C'P C."""
     weighing = weigh(data, model.variances)
-    spread = scipy.sparse.kron(data.from_members, np.eye(3), format='csc')
+    # Of tracks that are not in the sample nothing is known: their rows are zero.
+    present = np.flatnonzero(data.owners >= 0)
+    spread = scipy.sparse.kron(data.from_members[:, present], np.eye(3), format='csc')
     half = np.asarray(spread.T @ weighing.precision)
     within = []
     for k in range(len(merge.information)):
         part = merge.members.of_map(k)
-        at = slice(3 * part.start, 3 * part.stop)
-        within.append(np.asarray((spread[:, at].T @ half[at].T).T))
+        low, high = np.searchsorted(present, [part.start, part.stop])
+        own, at = slice(3 * low, 3 * high), coordinates(present[low:high] - part.start)
+        block = np.zeros((3 * (part.stop - part.start),) * 2)
+        block[np.ix_(at, at)] = (spread[:, own].T @ half[own].T).T
+        within.append(block)
+
+    def columns(chosen: Ints) -> Floats:
+        answers = np.zeros((3 * len(merge.members), 3 * len(chosen)))
+        answers[coordinates(present)] = half @ data.columns(chosen)
+        return answers
+
     return Sensitivity(
         members=merge.members,
         score=data.scores(weighing.weighted),
         within=tuple(within),
-        columns=lambda chosen: half @ data.columns(chosen),
+        columns=columns,
         price=weighing.price(data),
         dof=data.dof,
-        # Of tracks that are not in the sample nothing is known.
         unlocked=data.owners < 0,
     )
 

@@ -19,16 +19,9 @@ import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion.dense_inverse import DenseInverse
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.quadratic import Members, Quadratic
-from mapmerge_ros.geometry import gauge_basis
-
-LEAST_INFORMATION = 1e-9
-"""
-Share of the information that others must leave a member in its weakest direction.
-
-Below it is rounding: the last digits of float64, squared in R'R.
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,44 +171,44 @@ def sensitivity(merge: Quadratic, redundancy: float = np.inf) -> Sensitivity:
 
     """
     members, size = merge.members, merge.points.size
+    inverse = merge.inverse() if merge.inverse else DenseInverse(merge)
     at = [coordinates(members.tracks[members.of_map(k)]) for k in range(len(merge.information))]
-    hessian = np.zeros((size, size))
-    for own, rows in zip(merge.information, at, strict=True):
-        hessian[np.ix_(rows, rows)] += own
-    null = gauge_basis(merge.points, merge.gauge)
-    hessian += np.diag(hessian).mean() * null @ null.T
-    try:
-        inverse = _inverse(hessian)
-    except np.linalg.LinAlgError:
-        raise DegenerateGeometry('a merged landmark is not determined') from None
+    within = [np.zeros((0, 0))] * len(at)
+    for k, block in inverse.blocks():
+        own = merge.information[k]
+        within[k] = own - own @ (block @ own)
 
-    def columns(chosen: Ints) -> Floats:
-        pushed, own_part = np.zeros((size, 3 * len(chosen))), np.zeros((3 * len(members), 0))
-        own_part = np.zeros((3 * len(members), 3 * len(chosen)))
+    def pushed(chosen: Ints) -> Floats:
+        """L E (3s, 3m): forces that displacements of some members mean for all members."""
+        forces = np.zeros((3 * len(members), 3 * len(chosen)))
         for slot, member in enumerate(chosen):
             k = int(members.maps[member])
             part = members.of_map(k)
-            inside = slice(3 * (int(member) - part.start), 3 * (int(member) - part.start) + 3)
-            mine = slice(3 * slot, 3 * slot + 3)
-            pushed[at[k], mine] += merge.information[k][:, inside]
-            own_part[3 * part.start : 3 * part.stop, mine] += merge.information[k][:, inside]
-        answered = inverse @ pushed
-        shared = [own @ answered[rows] for own, rows in zip(merge.information, at, strict=True)]
-        return own_part - np.concatenate(shared)
+            inside = 3 * (int(member) - part.start)
+            forces[3 * part.start : 3 * part.stop, 3 * slot : 3 * slot + 3] = merge.information[k][
+                :, inside : inside + 3
+            ]
+        return forces
+
+    def answered(forces: Floats) -> Floats:
+        """H⁻¹ A' forces (3n, 3m): where the merged landmarks go."""
+        total = np.zeros((size, forces.shape[1]))
+        np.add.at(total, np.concatenate(at), forces)
+        return inverse.solve(total)
+
+    def columns(chosen: Ints) -> Floats:
+        forces = pushed(chosen)
+        moved = answered(forces)
+        shared = [own @ moved[rows] for own, rows in zip(merge.information, at, strict=True)]
+        return forces - np.concatenate(shared)
 
     def follow(chosen: Ints) -> Floats:
-        k = int(members.maps[chosen[0]])
-        inside = coordinates(chosen - members.of_map(k).start)
-        rows = coordinates(members.tracks[chosen])
-        return np.asarray(-inverse[np.ix_(rows, at[k])] @ merge.information[k][:, inside])
+        return -answered(pushed(chosen))[coordinates(members.tracks[chosen])]
 
     return Sensitivity(
         members=members,
         score=-merge.gradient,
-        within=tuple(
-            own - own @ inverse[np.ix_(rows, rows)] @ own
-            for own, rows in zip(merge.information, at, strict=True)
-        ),
+        within=tuple(within),
         columns=columns,
         price=merge.price,
         dof=merge.dof,
@@ -256,8 +249,3 @@ def tail(statistic: Floats, dof: float, redundancy: float) -> Floats:
     if np.isinf(redundancy):
         return np.asarray(scipy.stats.chi2.sf(statistic, dof))
     return np.asarray(scipy.stats.f.sf(statistic / dof, dof, redundancy))
-
-
-def _inverse(matrix: Floats) -> Floats:
-    factor = scipy.linalg.cho_factor(matrix, check_finite=False)
-    return np.asarray(scipy.linalg.cho_solve(factor, np.eye(len(matrix)), check_finite=False))

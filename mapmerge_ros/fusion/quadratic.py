@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -34,6 +35,20 @@ class Members:
         return slice(int(low), int(high))
 
 
+class Inverse(Protocol):
+    """
+    Inverse of H = Σ_k A_k'L_k A_k over the merged landmarks, the frame of the result held anyhow.
+
+    How it is held does not matter: the L_k are blind to it, and between them it is always used.
+    """
+
+    def solve(self, right: Floats) -> Floats:
+        """Solve for right-hand sides (3n, m) that no motion of the whole map contributes to."""
+
+    def blocks(self) -> Iterator[tuple[int, Floats]]:
+        """Each sub-map k with its own block (3s_k, 3s_k), in the order of its members."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Quadratic:
     """
@@ -55,6 +70,8 @@ class Quadratic:
     """Of the merged map"""
     price: float
     """ã / σ²"""
+    inverse: Callable[[], Inverse] | None = None
+    """Makes H⁻¹ where a factor can be had without dense algebra; None: the dense form has to do"""
 
     @property
     def views(self) -> Ints:

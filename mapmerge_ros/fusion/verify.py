@@ -15,13 +15,14 @@ from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.covariance_model import CovarianceModel
 from mapmerge_ros.fusion.examination import Examination, by_textbook
-from mapmerge_ros.fusion.honest import MAX_TRACKS, TESTED_FIRST, examine
+from mapmerge_ros.fusion.honest import TESTED_FIRST, examine, is_large
 from mapmerge_ros.fusion.joint.cost import JointCost
+from mapmerge_ros.fusion.joint.near_optimum import near_optimum
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.misfit import MAX_RATIO, worst_map
 from mapmerge_ros.fusion.outcome import ErrorModel, Verdict
 from mapmerge_ros.fusion.overlap import Link
-from mapmerge_ros.fusion.quadratic import Quadratic, quadratic
+from mapmerge_ros.fusion.quadratic import Quadratic
 from mapmerge_ros.fusion.search import is_certain
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.submap import SubMap
@@ -114,10 +115,11 @@ def verify_merge(
     if dof <= 0:
         return textbook, None
     redundancy = noise.estimated_from or np.inf
-    if len(estimate.points) > MAX_TRACKS and textbook.p_value >= TESTED_FIRST:
+    large = is_large(reduced.segments.lengths, len(estimate.points))
+    if large and textbook.p_value >= TESTED_FIRST:
         return textbook, by_textbook(estimate.cost / noise.sigma**2, dof, redundancy)
     certain = estimate.converged and is_certain(links, len(reduced))
-    merge = quadratic(reduced.elements(), estimate.points, gauge, noise.sigma)
+    merge = near_optimum(reduced, reduced.evaluate(estimate.points), gauge, noise.sigma)
     found = examine(merge, redundancy, certain=certain, known=known)
     verdict = _judged(textbook, found, config)
     return _unless_one_is_wrong(verdict, found, merge, map_ids, certain=certain), found

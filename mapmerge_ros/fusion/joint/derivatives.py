@@ -30,13 +30,20 @@ class LowRank:
 
 def gradient(cost: JointCost, state: State) -> Floats:
     """Half the derivative (tracks, 3) of the cost by the global landmarks."""
-    owners, linear = cost.segments.owners, state.S_map_globals.linear()
-    slopes = _pulled_back(cost, state)
-    turned = np.einsum('mi,mij->mj', slopes, linear[owners])
     size = len(state.points)
     return np.column_stack(
-        [np.bincount(cost.tracks, weights=axis, minlength=size) for axis in turned.T]
+        [
+            np.bincount(cost.tracks, weights=axis, minlength=size)
+            for axis in by_members(cost, state).T
+        ]
     )
+
+
+def by_members(cost: JointCost, state: State) -> Floats:
+    """Half the derivative (rows, 3) by where each sub-map by itself has its landmarks, global."""
+    linear = state.S_map_globals.linear()[cost.segments.owners]
+    forces: Floats = np.einsum('mi,mij->mj', _pulled_back(cost, state), linear)
+    return forces
 
 
 def _pulled_back(cost: JointCost, state: State) -> Floats:

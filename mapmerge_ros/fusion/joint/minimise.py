@@ -189,26 +189,30 @@ def gauss_newton(
     With a `gauge`, the frame of the result is held by the landmarks of one map in the middle.
     """
     jacobians = derivatives.Jacobians(cost, state)
-    holder = _middle(cost, state.points) if gauge else -1
+    holder = middle(cost, state.points) if gauge else -1
 
     def element(k: int, order: Ints, out: Floats) -> None:
         dsyrk(1.0, jacobians.of(k, order).T, c=out, lower=1, overwrite_c=1)
-        diagonal = np.einsum('ii->i', out)
-        typical = diagonal.mean()
         if damping:
+            diagonal = np.einsum('ii->i', out)
             diagonal *= 1.0 + damping
         if gauge and k == holder:
-            rows = np.arange(cost.segments.ends[k], cost.segments.ends[k + 1])[order]
-            used = cost.weights[rows] > 0.0
-            held = gauge_basis(state.points[cost.tracks[rows][used]], gauge)
-            at = np.flatnonzero(np.repeat(used, 3))
-            with np.errstate(all='ignore'):  # above the diagonal there is anything
-                out[np.ix_(at, at)] += typical * held @ held.T
+            held_by(cost, state, gauge, k, order, out)
 
     return element
 
 
-def _middle(cost: JointCost, points: Floats) -> int:
+def held_by(cost: JointCost, state: State, gauge: Gauge, k: int, order: Ints, out: Floats) -> None:
+    """Add to the element of map k, its landmarks in this order, what holds the whole frame."""
+    rows = np.arange(cost.segments.ends[k], cost.segments.ends[k + 1])[order]
+    used = cost.weights[rows] > 0.0
+    held = gauge_basis(state.points[cost.tracks[rows][used]], gauge)
+    at = np.flatnonzero(np.repeat(used, 3))
+    with np.errstate(all='ignore'):  # above the diagonal there is anything
+        out[np.ix_(at, at)] += np.einsum('ii->i', out).mean() * held @ held.T
+
+
+def middle(cost: JointCost, points: Floats) -> int:
     """Map nearest to the middle of all, among those with many landmarks."""
     segments = cost.segments
     shared = segments.counts(cost.weights > 0.0)
