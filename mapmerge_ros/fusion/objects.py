@@ -65,6 +65,10 @@ class MovedObject:
     """
     without_loudest: float
     """The same with that fifth of the members, at least two, free that speaks for it most"""
+    unbent: float
+    """`without_loudest` with all quadratic bends of the sub-map free"""
+    together: float
+    """Share of its landmarks' nearest neighbours in this sub-map that belong to it as well"""
     extent: float
     """Distance of its landmarks from their mean, root mean square [global map units]"""
     motion: RigidMotion
@@ -181,9 +185,12 @@ def _tested(state: Sensitivity, points: Floats, patch: Patch, inside: Ints) -> M
     members = patch.members[inside]
     views = np.bincount(state.members.tracks)
     here = patch.points[inside]
+    unbent = patch.unbent()
     return MovedObject(
         members=members,
         statistic=max(patch.with_one_free(inside, each).min() / _factor(each) for each in motions),
+        unbent=max(unbent.without_loudest(inside, each) / _factor(each) for each in motions),
+        together=patch.togetherness(inside, MIN_MEMBERS - 1),
         without_loudest=max(
             patch.without_loudest(inside, each) / _factor(each) for each in motions
         ),
