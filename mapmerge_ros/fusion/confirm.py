@@ -19,6 +19,7 @@ from mapmerge_ros.fusion.objects import (
     common_motion,
     find_objects,
     grown,
+    released,
 )
 from mapmerge_ros.geometry import scene_radius
 
@@ -62,6 +63,22 @@ def confirmed(
     rest = state.unlock(members_of(kept)) if kept else state
     found = find_objects(rest, points, LEAST_STATISTIC * model.tails.mean)
     return (*kept, *(moved for moved in found if _stands(moved, model, radius)))
+
+
+def without_bystanders(
+    state: Sensitivity,
+    points: Floats,
+    objects: tuple[MovedObject, ...],
+    model: CovarianceModel,
+) -> tuple[MovedObject, ...]:
+    """Objects that stand, less the one landmark that was needed for their number (`released`)."""
+    kept = list(objects)
+    for at, moved in enumerate(objects):
+        others = members_of([*kept[:at], *kept[at + 1 :]])
+        rest = state.unlock(others) if len(others) else state
+        if rest.testable()[moved.members].all():
+            kept[at] = released(rest, points, moved, model.tails.mean)
+    return tuple(kept)
 
 
 def members_of(objects: tuple[MovedObject, ...] | list[MovedObject]) -> Ints:

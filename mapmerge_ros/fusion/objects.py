@@ -130,6 +130,23 @@ def grown(state: Sensitivity, points: Floats, seed: Ints, scale: float) -> Moved
     return _tested(state, points, patch, inside) if len(inside) >= MIN_MEMBERS else None
 
 
+def released(state: Sensitivity, points: Floats, moved: MovedObject, scale: float) -> MovedObject:
+    """
+    Give back the member of a smallest object that moves otherwise: there pruning had to stop.
+
+    It made four landmarks an object, and would be told, and taken out of the merge, with them.
+    """
+    if len(moved.members) != MIN_MEMBERS:
+        return moved
+    patch = _patch(state, points, moved.members)
+    inside = patch.rows(moved.members)
+    less = patch.with_one_less(inside, TRANSLATION)
+    at = int(np.argmax(less))
+    if less[at] < patch.statistic(inside, TRANSLATION) + MIN_GAIN * scale:
+        return moved
+    return _tested(state, points, patch, np.delete(inside, at))
+
+
 def _patch(state: Sensitivity, points: Floats, members: Ints) -> Patch:
     return Patch.of_map(state, points, int(state.members.maps[members[0]]))
 
