@@ -31,6 +31,7 @@ from mapmerge_ros.bundle.quality import TrackQuality
 from mapmerge_ros.bundle.selection import matched
 from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion import Component, Fusion, Kind, fuse
+from mapmerge_ros.fusion.informations import informations
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.local import local_tests
 from mapmerge_ros.fusion.quadratic import Members, Quadratic, quadratic
@@ -117,7 +118,9 @@ def as_merged(submaps: Sequence[SubMap], component: Component) -> Quadratic:
     """Quadratic of a merge by ids, in the global frame."""
     association, noise = component.association, pool_noise(submaps)
     is_shared = association.views > 1
-    cost = JointCost.of(submaps, association.tracks, is_shared, noise.weights).reduced()
+    cost = JointCost.of(
+        submaps, association.tracks, is_shared, noise.weights, informations(submaps)
+    ).reduced()
     points = component.landmarks.points_global[is_shared]
     return quadratic(cost.elements(), points, component.gauge, noise.sigma)
 

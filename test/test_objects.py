@@ -12,7 +12,7 @@ from mapmerge_ros.fusion.contrasts import contrasts
 from mapmerge_ros.fusion.honest import examine
 from mapmerge_ros.fusion.local import local_tests, sensitivity
 from mapmerge_ros.fusion.motion import rigid_motion
-from mapmerge_ros.fusion.objects import common_motion
+from mapmerge_ros.fusion.objects import MIN_MEMBERS, common_motion, released
 from mapmerge_ros.fusion.patches import RIGID, TRANSLATION, Patch
 
 
@@ -185,3 +185,74 @@ def test_nobody_is_doubtful_where_nothing_moved():
         for seed in range(40)
     ]
     assert np.mean(np.array(reported) > 0) <= 0.1
+
+
+def quadratic_field(rng, here, size):
+    """A random bend (n, 3), quadratic in the coordinates."""
+    scaled = (here - here.mean(axis=0)) / here.std()
+    first, second = np.triu_indices(3)
+    return size * (scaled[:, first] * scaled[:, second]) @ rng.normal(size=(6, 3))
+
+
+def test_a_bend_of_any_size_costs_nothing_where_bends_are_free():
+    rng = np.random.default_rng(12)
+    points, members, matrices = scene(rng, landmarks=60, views=(3, 4))
+    errors = noise(rng, points, members, matrices)
+    part = members.of_map(1)
+    bend = np.zeros_like(errors)
+    bend[part] = quadratic_field(rng, points[members.tracks[part]], 2.0)
+    states = [
+        sensitivity(merged(points, members, matrices, errors + added)) for added in (0.0, bend)
+    ]
+    plain, bent = (Patch.of_map(state, points, 1) for state in states)
+    edge = np.argsort(plain.points[:, 0])[:10]
+    for motion in (TRANSLATION, RIGID):
+        assert bent.statistic(edge, motion) > 100.0 * plain.statistic(edge, motion)
+        expected = plain.unbent().statistic(edge, motion)
+        assert bent.unbent().statistic(edge, motion) == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_common_motion_of_nobody_is_chi_square_where_bends_are_free():
+    rng, values = np.random.default_rng(13), []
+    for _ in range(60):
+        points, members, matrices = scene(rng, landmarks=40, views=(3, 4))
+        errors = noise(rng, points, members, matrices)
+        merge = merged(points, members, matrices, errors)
+        patch = Patch.of_map(sensitivity(merge), points, 0).unbent()
+        values += [patch.statistic(np.arange(at, at + 8), TRANSLATION) for at in (0, 15)]
+    assert scipy.stats.kstest(values, scipy.stats.chi2(TRANSLATION).cdf).pvalue > 0.01
+
+
+def test_what_moved_is_seen_where_bends_are_free():
+    merge, moved, _ = with_object(np.random.default_rng(14), 20.0, 0.0)
+    found = common_motion(sensitivity(merge), merge.points, moved)
+    assert 40.0 < found.unbent <= found.without_loudest * 1.001
+
+
+def test_neighbours_are_together_and_a_choice_of_landmarks_is_not():
+    rng = np.random.default_rng(15)
+    merge = draw(15, landmarks=120, views=(3, 4))
+    patch, shares = Patch.of_map(sensitivity(merge), merge.points, 0), []
+    for _ in range(20):
+        centre = patch.points[rng.integers(len(patch))]
+        near = np.argsort(np.linalg.norm(patch.points - centre, axis=1))[:12]
+        shares.append(patch.togetherness(np.sort(near), 4))
+        picked = np.sort(rng.choice(len(patch), len(patch) // 4, replace=False))
+        assert patch.togetherness(picked, 4) < 0.5
+    assert min(shares) > 0.5
+    assert np.median(shares) > 0.65  # LEAST_TOGETHER: not all that is of one piece reaches it
+
+
+def test_a_bystander_of_a_small_object_is_given_back():
+    for seed in range(5):
+        merge, moved, _ = with_object(np.random.default_rng(seed), 20.0, 0.0, count=4)
+        state = sensitivity(merge)
+        own = np.flatnonzero(merge.members.maps == 2)
+        still = np.setdiff1d(own, moved)[3]
+        five = common_motion(state, merge.points, np.sort(np.append(moved, still)))
+        assert len(five.members) == MIN_MEMBERS
+        fewer = released(state, merge.points, five, 1.0)
+        np.testing.assert_array_equal(fewer.members, moved)
+        merge, moved, _ = with_object(np.random.default_rng(seed), 20.0, 0.0, count=5)
+        whole = common_motion(sensitivity(merge), merge.points, moved)
+        assert released(sensitivity(merge), merge.points, whole, 1.0) is whole

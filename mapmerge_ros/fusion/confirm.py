@@ -19,6 +19,7 @@ from mapmerge_ros.fusion.objects import (
     common_motion,
     find_objects,
     grown,
+    released,
 )
 from mapmerge_ros.geometry import scene_radius
 
@@ -28,6 +29,14 @@ LEAST_CONFIRMED = 70.0
 
 What is left of warp has up to 56 (30 landmarks of Caliterra), twelve landmarks that moved by five
 of their standard deviations 89 and more there and on EuRoC.
+"""
+
+LEAST_TOGETHER = 0.65
+"""
+Share of the nearest neighbours of its landmarks that must belong to a large object, too.
+
+Less, and it was picked from among landmarks that stood still. Half-way between 30 landmarks all
+over Brighton that did not move (0.38) and twelve at its edge that did (0.92).
 """
 
 
@@ -56,6 +65,22 @@ def confirmed(
     return (*kept, *(moved for moved in found if _stands(moved, model, radius)))
 
 
+def without_bystanders(
+    state: Sensitivity,
+    points: Floats,
+    objects: tuple[MovedObject, ...],
+    model: CovarianceModel,
+) -> tuple[MovedObject, ...]:
+    """Objects that stand, less the one landmark that was needed for their number (`released`)."""
+    kept = list(objects)
+    for at, moved in enumerate(objects):
+        others = members_of([*kept[:at], *kept[at + 1 :]])
+        rest = state.unlock(others) if len(others) else state
+        if rest.testable()[moved.members].all():
+            kept[at] = released(rest, points, moved, model.tails.mean)
+    return tuple(kept)
+
+
 def members_of(objects: tuple[MovedObject, ...] | list[MovedObject]) -> Ints:
     """Members of all objects."""
     return np.concatenate([np.zeros(0, np.int64), *(moved.members for moved in objects)])
@@ -70,8 +95,9 @@ def p_objects(objects: tuple[MovedObject, ...], model: CovarianceModel) -> float
 def _stands(moved: MovedObject, model: CovarianceModel, radius: float) -> bool:
     scale = model.tails.mean
     least = LEAST_STATISTIC if model.is_textbook else LEAST_CONFIRMED
-    if not model.is_textbook and moved.extent > SMOOTH_RADII * radius:
-        return False  # as large as the bends of a lens: on unchanged sets 0.75 to 1.5 radii
-    return moved.statistic >= least * scale and (
-        moved.without_loudest >= LEAST_WITHOUT_LOUDEST * scale
-    )
+    if moved.statistic < least * scale or moved.without_loudest < LEAST_WITHOUT_LOUDEST * scale:
+        return False
+    if model.is_textbook or moved.extent <= SMOOTH_RADII * radius:
+        return True
+    # As large as the bends of a lens: it has to be no bend, and of one piece.
+    return moved.unbent >= least * scale and moved.together >= LEAST_TOGETHER

@@ -17,7 +17,12 @@ import scipy.stats
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.conditional import conditional_tests
-from mapmerge_ros.fusion.confirm import confirmed, members_of, p_objects
+from mapmerge_ros.fusion.confirm import (
+    confirmed,
+    members_of,
+    p_objects,
+    without_bystanders,
+)
 from mapmerge_ros.fusion.contrasts import Contrasts, contrasts
 from mapmerge_ros.fusion.covariance_model import (
     LARGEST_TAIL,
@@ -170,6 +175,7 @@ def _under_model(
         # from the start: variances that were fitted with half of the warp unlocked mislead
         fitted = _fit(data, highest, members_of(objects), known)
         state = _state(merge, data, textbook, fitted)
+    objects = without_bystanders(state, merge.points, objects, fitted.model)
     moved = members_of(objects)
     tests = conditional_tests(state, np.union1d(moved, fitted.aside))
     p_values = fitted.model.tails.p_value(tests.statistic, state.redundancy)

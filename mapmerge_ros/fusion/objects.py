@@ -65,6 +65,10 @@ class MovedObject:
     """
     without_loudest: float
     """The same with that fifth of the members, at least two, free that speaks for it most"""
+    unbent: float
+    """`without_loudest` with all quadratic bends of the sub-map free"""
+    together: float
+    """Share of its landmarks' nearest neighbours in this sub-map that belong to it as well"""
     extent: float
     """Distance of its landmarks from their mean, root mean square [global map units]"""
     motion: RigidMotion
@@ -126,6 +130,23 @@ def grown(state: Sensitivity, points: Floats, seed: Ints, scale: float) -> Moved
     return _tested(state, points, patch, inside) if len(inside) >= MIN_MEMBERS else None
 
 
+def released(state: Sensitivity, points: Floats, moved: MovedObject, scale: float) -> MovedObject:
+    """
+    Give back the member of a smallest object that moves otherwise: there pruning had to stop.
+
+    It made four landmarks an object, and would be told, and taken out of the merge, with them.
+    """
+    if len(moved.members) != MIN_MEMBERS:
+        return moved
+    patch = _patch(state, points, moved.members)
+    inside = patch.rows(moved.members)
+    less = patch.with_one_less(inside, TRANSLATION)
+    at = int(np.argmax(less))
+    if less[at] < patch.statistic(inside, TRANSLATION) + MIN_GAIN * scale:
+        return moved
+    return _tested(state, points, patch, np.delete(inside, at))
+
+
 def _patch(state: Sensitivity, points: Floats, members: Ints) -> Patch:
     return Patch.of_map(state, points, int(state.members.maps[members[0]]))
 
@@ -181,9 +202,12 @@ def _tested(state: Sensitivity, points: Floats, patch: Patch, inside: Ints) -> M
     members = patch.members[inside]
     views = np.bincount(state.members.tracks)
     here = patch.points[inside]
+    unbent = patch.unbent()
     return MovedObject(
         members=members,
         statistic=max(patch.with_one_free(inside, each).min() / _factor(each) for each in motions),
+        unbent=max(unbent.without_loudest(inside, each) / _factor(each) for each in motions),
+        together=patch.togetherness(inside, MIN_MEMBERS - 1),
         without_loudest=max(
             patch.without_loudest(inside, each) / _factor(each) for each in motions
         ),

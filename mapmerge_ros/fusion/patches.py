@@ -127,6 +127,36 @@ class Patch:
         )
         return values.min(axis=1), rows
 
+    def unbent(self) -> Patch:
+        """
+        The same tests with every bend of the sub-map free that is quadratic in the coordinates.
+
+        However large: nothing is assumed of the lens but that it bends smoothly.
+        """
+        scaled = self.points - np.median(self.points, axis=0)
+        scaled = scaled / max(float(np.median(np.linalg.norm(scaled, axis=1))), 1e-12)
+        first, second = np.triu_indices(3)
+        fields = np.column_stack(
+            [np.ones(len(self)), scaled, scaled[:, first] * scaled[:, second]]
+        )
+        bends = np.kron(np.linalg.qr(fields)[0], np.eye(3))
+        pushed = self.information @ bends
+        values, vectors = np.linalg.eigh(bends.T @ pushed)
+        seen = values > RIDGE * values.max(initial=0.0)  # frames cost nothing as it is
+        white = vectors[:, seen] / np.sqrt(values[seen])
+        root = pushed @ white
+        score = root @ (white.T @ (bends.T @ self.score.ravel()))
+        return replace(
+            self,
+            score=self.score - score.reshape(-1, 3),
+            information=self.information - root @ root.T,
+        )
+
+    def togetherness(self, inside: Ints, count: int) -> float:
+        """Share of the `count` nearest of each of the rows `inside` that are inside as well."""
+        near = np.asarray(cKDTree(self.points).query(self.points[inside], count + 1)[1])[:, 1:]
+        return float(np.isin(near, inside).mean())
+
     def _freed(self, row: int) -> Patch:
         at = slice(3 * row, 3 * row + 3)
         columns = self.information[:, at]
