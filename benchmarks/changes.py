@@ -54,6 +54,12 @@ HEAD = '| set | moved by | trials | found | recall where found | precision | tes
 CHECKED = ('boruszyn_kite', 'bal_ladybug49', 'brighton_drone')
 """Sets on which no threshold was chosen; Boruszyn and Brighton showed that extent has to count."""
 
+HALF = 0.4
+"""
+Share of an overlap from which an object is as much of it as the rest: which of the two moved
+cannot be told, so either may be named. Such trials count like all others; they are listed.
+"""
+
 MEMBERSHIP = 0.5
 """Share of the moved landmarks that one group must have for the object to count as found."""
 
@@ -84,6 +90,8 @@ class Score:
     """One trial."""
 
     is_found: bool
+    overlap_share: float
+    """Of what the session has in common with the one that sees most of the object, moved"""
     right: int
     """Landmarks in objects that have moved"""
     false: int
@@ -166,10 +174,17 @@ def trial(source: Draw, sigmas: float, turn_rad: float, rng: np.random.Generator
     after = centre + turn.apply(before - centre) + shift
     submaps = list(source.submaps)
     submaps[k] = _compressed(with_moved(bundle, ids, after, rng), k, source.ids[k])
-    return scored(submaps, ids)
+    return scored(submaps, ids, _overlap_share(source.ids, k, ids))
 
 
-def scored(submaps: Sequence[SubMap], ids: np.ndarray) -> Score:
+def _overlap_share(sessions: Sequence[np.ndarray], k: int, ids: np.ndarray) -> float:
+    """Moved landmarks of what session k has in common with the session that sees most of them."""
+    others = [np.intersect1d(sessions[k], own) for m, own in enumerate(sessions) if m != k]
+    common = max(others, key=lambda own: int(np.isin(ids, own).sum()))
+    return float(np.isin(ids, common).sum() / len(common))
+
+
+def scored(submaps: Sequence[SubMap], ids: np.ndarray, overlap_share: float = 0.0) -> Score:
     """Merge, and compare what is named with what was moved."""
     begin = time.process_time()
     fusion = fuse(submaps)
@@ -184,6 +199,7 @@ def scored(submaps: Sequence[SubMap], ids: np.ndarray) -> Score:
     right = int(np.isin(named, ids).sum())
     return Score(
         is_found=bool(best and best >= MEMBERSHIP * len(ids)),
+        overlap_share=overlap_share,
         right=right,
         false=len(named) - right,
         moved=len(ids),
@@ -216,7 +232,9 @@ def moved_row(
     recall = sum(s.right for s in found) / max(1, sum(s.moved for s in found))
     seconds = np.mean([score.seconds for score in scores])
     wrong = sum(score.quarantined for score in scores)
+    halves = sum(score.overlap_share >= HALF for score in scores)
     name += f' ({wrong} maps in quarantine)' if wrong else ''
+    name += f' ({halves} × half of an overlap)' if halves else ''
     turned = f', {turn_rad} rad' if turn_rad else ''
     return (
         f'| {name} | {sigmas:g} σ{turned} | {trials} | {len(found) / trials:.0%} | {recall:.3f} | '

@@ -122,13 +122,20 @@ def minimise(
         history.append(state.cost)
         enough = max(config.relative_decrease * state.cost, rounding)
         promises.append(promised)
-        if promised <= enough:
+        if _left(promises) <= enough:
             kept = matrix.kept(carried)
             return Estimate(state.points, state.cost, iteration, True, tuple(history), matrix=kept)
         if matrix.damping or _is_outdated(promises, enough, own):
             matrix.renew()
             promises, own = [], True
     return Estimate(state.points, state.cost, config.max_iterations, False, tuple(history))
+
+
+def _left(promises: list[float]) -> float:
+    """Decrease that the next step will promise, at the rate of the last two; one may overshoot."""
+    if len(promises) < 3:
+        return promises[-1]
+    return promises[-1] * min(1.0, float(np.sqrt(promises[-1] / promises[-3])))
 
 
 def _is_outdated(promises: list[float], enough: float, is_own: bool) -> bool:
