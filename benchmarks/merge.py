@@ -33,13 +33,13 @@ THREADS = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THR
 MARK = '<!-- tables of benchmarks/merge.py -->\n'
 
 NOT_OF: dict[str, tuple[str, ...]] = {
-    'S3': ('dense',),
-    'S4': ('dense',),
-    'S5': ('dense', 'bundle', 'whole'),
+    'S3': ('dense', 'accuracy'),
+    'S4': ('dense', 'accuracy'),
+    'S5': ('dense', 'bundle', 'whole', 'local', 'accuracy'),
 }
 """What takes too long or too much memory."""
 
-ONCE = {('bundle', 'S3'), ('bundle', 'S4'), ('known', 'S5')}
+ONCE = {('bundle', 'S3'), ('bundle', 'S4'), ('known', 'S5'), ('local', 'S4')}
 """What takes minutes is measured once."""
 
 
@@ -57,7 +57,7 @@ def run(kind: str, name: str, folder: Path, repeats: int) -> Values:
     gc.collect()
     Path('/proc/self/clear_refs').write_text('5')  # the peak so far is forgotten
     before = _resident_mb('VmRSS')
-    load = cached(name, folder, bundles=kind == 'bundle')
+    load = cached(name, folder, bundles=kind in ('bundle', 'accuracy'))
     values = KINDS[kind](load, repeats)
     peak = _resident_mb('VmHWM')
     return {**values, 'growth_mb': peak - before, 'peak_mb': peak}

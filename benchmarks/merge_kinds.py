@@ -9,17 +9,20 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from workloads import Workload, session
+from workloads import DRONES, Workload, session, workload
 
 from mapmerge_ros.association import associate
-from mapmerge_ros.bundle import MapName, compress
+from mapmerge_ros.bundle import Bundle, MapName, compress
 from mapmerge_ros.fusion import FusionConfig, Warm, fuse
 from mapmerge_ros.fusion.associate import Association, of_compressed
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.joint.knowledge import knowledge
+from mapmerge_ros.fusion.joint.near_optimum import near_optimum
 from mapmerge_ros.fusion.joint.start import initial_points
 from mapmerge_ros.fusion.links import find_links
+from mapmerge_ros.fusion.local import sensitivity
 from mapmerge_ros.fusion.merge import merge as merge_densely
+from mapmerge_ros.fusion.objects import LEAST_STATISTIC, find_objects
 from mapmerge_ros.fusion.overlap import Link, spanning_tree
 from mapmerge_ros.fusion.solution import Anchor, Solution, solve
 from mapmerge_ros.fusion.verify import Noise, pool_noise, verify
@@ -33,6 +36,10 @@ CONFIG = FusionConfig()
 
 BUNDLE_SECONDS = 360.0
 """Time limit of the full bundle: S4 does not converge in it."""
+
+
+ACCURACY_DRAWS = {'S1': 20, 'S2': 8}
+"""Draws of which the error is pooled: one draw scatters by 1 %, as few bending modes decide it."""
 
 
 def timed(repeats: int, run: Callable[[int], Any]) -> tuple[Values, Any]:
@@ -151,17 +158,71 @@ def dense(load: Workload, repeats: int) -> Values:
     return {**took, 'rmse_m': rmse_to_truth(*_shared(load, association, found.points))}
 
 
-def bundle(load: Workload, repeats: int) -> Values:
-    """Ceres on all observations of all drones, from the drones' optima in the true frames."""
-    from mapmerge_ros.simulation import solve as adjust
+def local(load: Workload, repeats: int) -> Values:
+    """Tests of every landmark of every sub-map; besides, the scan for objects among them."""
+    solution, _, _, noise = merged(load.submaps, Warm())
+    cost, points = solution.reduced, solution.estimate.points
+
+    def run(_: int) -> Any:
+        merge = near_optimum(cost, cost.evaluate(points), Gauge.SIMILARITY, noise.sigma)
+        state = sensitivity(merge, noise.estimated_from or np.inf)
+        return state, state.tests()
+
+    took, (state, tests) = timed(repeats, run)
+    scanned, objects = timed(repeats, lambda _: find_objects(state, points, LEAST_STATISTIC))
+    return {
+        **took,
+        'scan_cpu_s': scanned['cpu_s'],
+        'tests': int(tests.distinct.sum()),
+        'objects': len(objects),
+    }
+
+
+def accuracy(load: Workload, repeats: int) -> Values:
+    """Error to the truth over that of the full bundle, over many draws of noise and scene."""
+    draws, errors = ACCURACY_DRAWS.get(load.name, repeats), []
+    for seed in range(draws):
+        one = load if len(load.submaps) != DRONES[load.name] else workload(load.name, seed)
+        solution, association, _, _ = merged(one.submaps, Warm())
+        error = rmse_to_truth(*_shared(one, association, solution.state.points))
+        errors.append((error, _error_of_bundle(one, _adjusted(one, {}))))
+    own, full = np.array(errors).T
+    return {
+        'draws': draws,
+        'ratio': float(np.sqrt(np.sum(own**2) / np.sum(full**2))),
+        'median_ratio': float(np.median(own / full)),
+    }
+
+
+def _joined(load: Workload) -> Bundle:
+    """All observations as one bundle: the drones' optima in the frames that the messages give."""
     from mapmerge_ros.simulation.joint import join
 
-    joint = join(load.bundles, load.S_world_maps, [one.point_ids for one in load.bundles])
-    settings: dict[str, Any] = {'linear_solver': 'SPARSE_SCHUR', 'max_seconds': BUNDLE_SECONDS}
-    made, _ = timed(1, lambda _: adjust(joint, max_iterations=0, **settings))
-    took, solved = timed(repeats, lambda _: adjust(joint, **settings))
+    cost, _, links, _ = _problem(load)
+    gauges = [submap.gauge for submap in load.submaps]
+    centre, frames = spanning_tree(range(len(cost)), gauges, links)
+    S_map_globals = cost.frames(initial_points(cost, frames, centre))
+    S_global_maps = [S_map_globals[k].inverse() for k in range(len(cost))]
+    return join(load.bundles, S_global_maps, [one.point_ids for one in load.bundles])
+
+
+def _adjusted(load: Workload, settings: dict[str, Any], joint: Bundle | None = None) -> Any:
+    from mapmerge_ros.simulation import solve as adjust
+
+    return adjust(joint or _joined(load), linear_solver='SPARSE_SCHUR', **settings)
+
+
+def _error_of_bundle(load: Workload, solved: Any) -> float:
     shared = np.unique(np.concatenate([submap.compressed_ids for submap in load.submaps]))
     points = solved.bundle.points[solved.bundle.rows_of(shared)]
+    return rmse_to_truth(points, load.points_world(shared))
+
+
+def bundle(load: Workload, repeats: int) -> Values:
+    """Ceres on all observations of all drones, from where the merge starts as well."""
+    joint, limit = _joined(load), {'max_seconds': BUNDLE_SECONDS}
+    made, _ = timed(1, lambda _: _adjusted(load, {'max_iterations': 0}, joint))
+    took, solved = timed(repeats, lambda _: _adjusted(load, limit, joint))
     return {
         **{name: value - made[name] for name, value in took.items()},
         'iterations': solved.iterations,
@@ -169,7 +230,7 @@ def bundle(load: Workload, repeats: int) -> Values:
         'points': len(joint.point_ids),
         'keyframes': len(joint.keyframe_ids),
         'observation_bytes': 12.0 * len(joint.observations_px) / len(load.submaps),
-        'rmse_m': rmse_to_truth(points, load.points_world(shared)),
+        'rmse_m': _error_of_bundle(load, solved),
     }
 
 
@@ -225,4 +286,6 @@ KINDS: dict[str, Callable[[Workload, int], Values]] = {
     'procrustes': procrustes,
     'dense': dense,
     'bundle': bundle,
+    'local': local,
+    'accuracy': accuracy,
 }
