@@ -9,10 +9,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from workloads import Workload, session
+from workloads import Workload, sessions
 
+from mapmerge_ros.arrays import Ids
 from mapmerge_ros.association import associate
-from mapmerge_ros.bundle import MapName, compress
+from mapmerge_ros.bundle import Bundle, MapName, compress
 from mapmerge_ros.fusion import FusionConfig, Warm, fuse
 from mapmerge_ros.fusion.associate import Association, of_compressed
 from mapmerge_ros.fusion.joint.cost import JointCost
@@ -174,8 +175,16 @@ def bundle(load: Workload, repeats: int) -> Values:
 
 
 def compression(_: Workload | None, repeats: int) -> Values:
-    """One session compressed as it is shipped, beside one dense QR of everything."""
-    drone, ids = session()
+    """Sessions compressed as they are shipped, each beside one dense QR of everything."""
+    return {
+        'choices': [
+            {'choice': choice, **_compressed(drone, ids, repeats)}
+            for choice, (drone, ids) in sessions().items()
+        ]
+    }
+
+
+def _compressed(drone: Bundle, ids: Ids, repeats: int) -> Values:
     name = MapName('session/0001', 'session')
     took, fast = timed(repeats, lambda _: compress(drone, name, ids, catalogue=False, dtype=float))
     dense_took, plain = timed(
