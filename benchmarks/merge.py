@@ -21,7 +21,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from merge_kinds import KINDS, Values, compression
+from merge_compression import compression
+from merge_kinds import KINDS
+from merge_steps import Values
 from merge_tables import draw, tables
 from workloads import DRONES, Workload, cached, workload
 
@@ -92,7 +94,7 @@ def all_of(sizes: list[str], folder: Path, repeats: int) -> dict[str, Any]:
             if kind not in NOT_OF.get(name, ()):
                 found[kind] = measure(kind, name, folder, repeats)
                 print(json.dumps({name: {kind: found[kind]}}), file=sys.stderr, flush=True)
-    results['compression'] = compression(None, repeats)
+    results['compression'] = compression(repeats)
     return results
 
 

@@ -4,77 +4,23 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from workloads import DRONES, Workload, session, workload
+from merge_bundle import accuracy, bundle
+from merge_steps import CONFIG, Values, merged, rmse_to_truth, shared, started, timed
+from workloads import Workload
 
-from mapmerge_ros.association import associate
-from mapmerge_ros.bundle import Bundle, MapName, compress
-from mapmerge_ros.fusion import FusionConfig, Warm, fuse
-from mapmerge_ros.fusion.associate import Association, of_compressed
-from mapmerge_ros.fusion.joint.cost import JointCost
+from mapmerge_ros.fusion import Warm, fuse
 from mapmerge_ros.fusion.joint.knowledge import knowledge
 from mapmerge_ros.fusion.joint.near_optimum import near_optimum
-from mapmerge_ros.fusion.joint.start import initial_points
-from mapmerge_ros.fusion.links import find_links
 from mapmerge_ros.fusion.local import sensitivity
 from mapmerge_ros.fusion.merge import merge as merge_densely
 from mapmerge_ros.fusion.objects import LEAST_STATISTIC, find_objects
-from mapmerge_ros.fusion.overlap import Link, spanning_tree
-from mapmerge_ros.fusion.solution import Anchor, Solution, solve
-from mapmerge_ros.fusion.verify import Noise, pool_noise, verify
-from mapmerge_ros.geometry import Gauge, Similarity, align
+from mapmerge_ros.fusion.verify import verify
+from mapmerge_ros.geometry import Gauge, align
 from mapmerge_ros.io import encode_submap
-from mapmerge_ros.submap import SubMap
-
-Values = dict[str, Any]
-
-CONFIG = FusionConfig()
-
-BUNDLE_SECONDS = 360.0
-"""Time limit of the full bundle: S4 does not converge in it."""
-
-
-ACCURACY_DRAWS = {'S1': 20, 'S2': 8}
-"""Draws of which the error is pooled: one draw scatters by 1 %, as few bending modes decide it."""
-
-
-def timed(repeats: int, run: Callable[[int], Any]) -> tuple[Values, Any]:
-    """Median CPU and wall seconds of `run(0)`, `run(1)`, … and what the last one returned."""
-    cpu, wall, result = [], [], None
-    for k in range(repeats):
-        result = None  # its memory is free before the next one
-        before = time.process_time(), time.perf_counter()
-        result = run(k)
-        cpu.append(time.process_time() - before[0])
-        wall.append(time.perf_counter() - before[1])
-    return {'cpu_s': float(np.median(cpu)), 'wall_s': float(np.median(wall))}, result
-
-
-def rmse_to_truth(points: Any, truth: Any) -> float:
-    """Root mean square distance [m] after the best similarity onto the truth."""
-    moved = align(truth, points).S_target_source.apply(points)
-    return float(np.sqrt(np.mean(np.sum((moved - truth) ** 2, axis=1))))
-
-
-def merged(
-    submaps: Sequence[SubMap], warm: Warm
-) -> tuple[Solution, Association, tuple[Link, ...], Noise]:
-    """From decoded messages to landmarks, frames and price: what `fuse` does up to its test."""
-    found = associate(submaps, memory=warm)
-    association = of_compressed(submaps, found.tracks)
-    links = find_links(submaps, association, CONFIG, warm)
-    noise = pool_noise(submaps)
-    anchor = Anchor(submaps[0].map_id, Similarity.identity())
-    return (
-        solve(submaps, association, links, noise, anchor, CONFIG, warm),
-        association,
-        links,
-        noise,
-    )
 
 
 def merge(load: Workload, repeats: int) -> Values:
@@ -90,7 +36,7 @@ def merge(load: Workload, repeats: int) -> Values:
         **took,
         'iterations': solution.estimate.iterations,
         'variance_factor': solution.estimate.cost / (solution.dof * noise.sigma**2),
-        'rmse_m': rmse_to_truth(*_shared(load, association, solution.state.points)),
+        'rmse_m': rmse_to_truth(*shared(load, association, solution.state.points)),
         'landmarks': association.count,
         'message_bytes': float(np.mean([len(encode_submap(one)) for one in load.submaps])),
     }
@@ -134,28 +80,23 @@ def procrustes(load: Workload, repeats: int) -> Values:
     """Frames along the tree, then generalised Procrustes: where the merge starts."""
 
     def run(_: int) -> Any:
-        cost, association, links, _ = _problem(load)
-        gauges = [submap.gauge for submap in load.submaps]
-        centre, frames = spanning_tree(range(len(cost)), gauges, links)
-        return initial_points(cost, frames, centre), association
+        _, association, points = started(load)
+        return points, association
 
     took, (points, association) = timed(repeats, run)
-    return {**took, 'rmse_m': rmse_to_truth(*_shared(load, association, points))}
+    return {**took, 'rmse_m': rmse_to_truth(*shared(load, association, points))}
 
 
 def dense(load: Workload, repeats: int) -> Values:
     """The plain merge with dense matrices, from the same start."""
 
     def run(_: int) -> Any:
-        cost, association, links, _ = _problem(load)
-        gauges = [submap.gauge for submap in load.submaps]
-        centre, frames = spanning_tree(range(len(cost)), gauges, links)
-        start = initial_points(cost, frames, centre)
+        cost, association, start = started(load)
         found = merge_densely(cost.elements(), start, Gauge.SIMILARITY, CONFIG)
         return found, association
 
     took, (found, association) = timed(repeats, run)
-    return {**took, 'rmse_m': rmse_to_truth(*_shared(load, association, found.points))}
+    return {**took, 'rmse_m': rmse_to_truth(*shared(load, association, found.points))}
 
 
 def local(load: Workload, repeats: int) -> Values:
@@ -176,106 +117,6 @@ def local(load: Workload, repeats: int) -> Values:
         'tests': int(tests.distinct.sum()),
         'objects': len(objects),
     }
-
-
-def accuracy(load: Workload, repeats: int) -> Values:
-    """Error to the truth over that of the full bundle, over many draws of noise and scene."""
-    draws, errors = ACCURACY_DRAWS.get(load.name, repeats), []
-    for seed in range(draws):
-        one = load if len(load.submaps) != DRONES[load.name] else workload(load.name, seed)
-        solution, association, _, _ = merged(one.submaps, Warm())
-        error = rmse_to_truth(*_shared(one, association, solution.state.points))
-        errors.append((error, _error_of_bundle(one, _adjusted(one, {}))))
-    own, full = np.array(errors).T
-    return {
-        'draws': draws,
-        'ratio': float(np.sqrt(np.sum(own**2) / np.sum(full**2))),
-        'median_ratio': float(np.median(own / full)),
-    }
-
-
-def _joined(load: Workload) -> Bundle:
-    """All observations as one bundle: the drones' optima in the frames that the messages give."""
-    from mapmerge_ros.simulation.joint import join
-
-    cost, _, links, _ = _problem(load)
-    gauges = [submap.gauge for submap in load.submaps]
-    centre, frames = spanning_tree(range(len(cost)), gauges, links)
-    S_map_globals = cost.frames(initial_points(cost, frames, centre))
-    S_global_maps = [S_map_globals[k].inverse() for k in range(len(cost))]
-    return join(load.bundles, S_global_maps, [one.point_ids for one in load.bundles])
-
-
-def _adjusted(load: Workload, settings: dict[str, Any], joint: Bundle | None = None) -> Any:
-    from mapmerge_ros.simulation import solve as adjust
-
-    return adjust(joint or _joined(load), linear_solver='SPARSE_SCHUR', **settings)
-
-
-def _error_of_bundle(load: Workload, solved: Any) -> float:
-    shared = np.unique(np.concatenate([submap.compressed_ids for submap in load.submaps]))
-    points = solved.bundle.points[solved.bundle.rows_of(shared)]
-    return rmse_to_truth(points, load.points_world(shared))
-
-
-def bundle(load: Workload, repeats: int) -> Values:
-    """Ceres on all observations of all drones, from where the merge starts as well."""
-    joint, limit = _joined(load), {'max_seconds': BUNDLE_SECONDS}
-    made, _ = timed(1, lambda _: _adjusted(load, {'max_iterations': 0}, joint))
-    took, solved = timed(repeats, lambda _: _adjusted(load, limit, joint))
-    return {
-        **{name: value - made[name] for name, value in took.items()},
-        'iterations': solved.iterations,
-        'converged': solved.converged,
-        'points': len(joint.point_ids),
-        'keyframes': len(joint.keyframe_ids),
-        'observation_bytes': 12.0 * len(joint.observations_px) / len(load.submaps),
-        'rmse_m': _error_of_bundle(load, solved),
-    }
-
-
-def compression(_: Workload | None, repeats: int) -> Values:
-    """One session compressed as it is shipped, beside one dense QR of everything."""
-    drone, ids = session()
-    name = MapName('session/0001', 'session')
-    took, fast = timed(repeats, lambda _: compress(drone, name, ids, catalogue=False, dtype=float))
-    dense_took, plain = timed(
-        1,
-        lambda _: compress(drone, name, ids, catalogue=False, method='dense', dtype=float),
-    )
-    expected = plain.triangle().T @ plain.triangle()
-    difference = np.abs(fast.triangle().T @ fast.triangle() - expected).max()
-    return {
-        **took,
-        'dense_cpu_s': dense_took['cpu_s'],
-        'difference': float(difference / np.abs(expected).max()),
-        'keyframes': len(drone.keyframe_ids),
-        'points': len(drone.point_ids),
-        'landmarks': len(ids),
-    }
-
-
-def _problem(load: Workload) -> tuple[JointCost, Association, tuple[Link, ...], Noise]:
-    warm = Warm()
-    association = of_compressed(load.submaps, associate(load.submaps).tracks)
-    links = find_links(load.submaps, association, CONFIG, warm)
-    noise = pool_noise(load.submaps)
-    cost = JointCost.of(
-        load.submaps,
-        association.tracks,
-        association.views > 1,
-        noise.weights,
-        warm.informations(load.submaps),
-    )
-    return cost, association, links, noise
-
-
-def _shared(load: Workload, association: Association, points: Any) -> tuple[Any, Any]:
-    """Landmarks of several sub-maps and where they are in truth; all compressed ones are."""
-    ids = np.zeros(association.count, np.uint64)
-    for submap, own in zip(load.submaps, association.tracks, strict=True):
-        ids[own] = submap.compressed_ids
-    return points, load.points_world(ids)
 
 
 KINDS: dict[str, Callable[[Workload, int], Values]] = {

@@ -20,6 +20,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Ids, Mask
 from mapmerge_ros.bundle import Bundle, MapName, compress, linearise
 from mapmerge_ros.bundle.compress import eliminate
+from mapmerge_ros.bundle.selection import best_tracks
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.io import decode_submap, encode_submap
 from mapmerge_ros.simulation import Scene, Sensing, lawn_mower, observe, random_frame, yard_scene
@@ -47,7 +48,7 @@ GAUSS_NEWTON_STEPS = 3
 """From the truth to the optimum of half a pixel of noise: the third is below 1e-9 px²."""
 
 SHARED_IN_SESSION = 100
-"""Landmarks of the session whose compression is measured."""
+"""Landmarks of a session whose compression is measured."""
 
 MATCHED_VIEWS = 5
 """Key frames that see a landmark which is likely to be matched."""
@@ -108,14 +109,25 @@ def cached(name: str, folder: Path, seed: int = 0, *, bundles: bool = False) -> 
     return replace(load, bundles=pickle.loads(own.read_bytes())) if bundles else load
 
 
-def session() -> tuple[Bundle, Ids]:
-    """One drone's map of 60 key frames and about 1000 points, and 100 of its landmarks."""
+def sessions() -> dict[str, tuple[Bundle, Ids]]:
+    """
+    Three drones' maps of 60 key frames and about 1000 points, and 100 landmarks of each.
+
+    Chosen by lot as landmarks are that are matched, by what is seen most often, and at one end of
+    the flight, where they hold the other end badly.
+    """
     bundles = workload('S2', drones=9).bundles
-    bundle = max(bundles, key=lambda one: len(one.point_ids))
-    views = np.bincount(bundle.observation_points, minlength=len(bundle.point_ids))
-    eligible = bundle.point_ids[views >= MATCHED_VIEWS]
-    chosen = np.random.default_rng(0).choice(eligible, SHARED_IN_SESSION, replace=False)
-    return bundle, np.sort(chosen)
+    matched, longest, far = sorted(bundles, key=lambda one: -len(one.point_ids))[:3]
+    views = np.bincount(matched.observation_points, minlength=len(matched.point_ids))
+    eligible = matched.point_ids[views >= MATCHED_VIEWS]
+    lot = np.random.default_rng(0).choice(eligible, SHARED_IN_SESSION, replace=False)
+    centred = far.points - far.points.mean(axis=0)
+    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+    return {
+        'seen 5 times or more, by lot': (matched, np.sort(lot)),
+        'longest tracks': (longest, best_tracks(longest, SHARED_IN_SESSION)),
+        'one end of the map': (far, np.sort(far.point_ids[np.argsort(along)[:SHARED_IN_SESSION]])),
+    }
 
 
 def _message(bundle: Bundle, drone: int, revision: int) -> SubMap:

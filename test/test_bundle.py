@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compression against dense QR, at and off the optimum, in every gauge; and the way back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import assert_same_elimination, random_bundle
@@ -10,7 +12,7 @@ from mapmerge_ros.bundle import MapName, compress, eliminate, linearise
 from mapmerge_ros.bundle.dense import dense_jacobian
 from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
 from mapmerge_ros.geometry import Gauge, Similarity, gauge_basis
-from mapmerge_ros.submap import pack, packed_size, unpack
+from mapmerge_ros.submap import factor_information, pack, packed_size, unpack
 
 GAUGES = [Gauge.SIMILARITY, Gauge.RIGID, Gauge.YAW_TRANSLATION, Gauge.NONE]
 
@@ -69,6 +71,41 @@ def test_r_has_the_null_space_of_the_gauge_and_no_more(gauge):
     basis = gauge_basis(bundle.points[shared], gauge)
     assert np.abs(r @ basis).max(initial=0.0) < 1e-9 * np.abs(r).max()
     assert np.linalg.matrix_rank(r) == 24 - int(gauge)
+
+
+@pytest.mark.parametrize('method', ['schur', 'qr'])
+@pytest.mark.parametrize('spacing', [1.0, 1e-2, 1e-3])
+def test_last_landmarks_may_hold_the_frame_badly(method, spacing):
+    """R is as right as the information is, even if its last rows are about one small place."""
+    for seed in range(3):
+        bundle = random_bundle(seed, keyframes=8, points=60)
+        middle = bundle.points[-3:].mean(axis=0)
+        points = np.array(bundle.points)
+        points[-3:] = middle + spacing * (points[-3:] - middle)
+        lin = linearise(replace(bundle, points=points))
+        shared = np.r_[:30, 57:60]
+        fast, dense = eliminate(lin, shared, method), eliminate(lin, shared, 'dense')
+        expected = dense.r.T @ dense.r
+        difference = np.abs(fast.r.T @ fast.r - expected).max() / np.abs(expected).max()
+        assert difference < 1e-12
+        assert not np.tril(fast.r, -1).any()
+
+
+@pytest.mark.parametrize('count', [4, 21, 22, 23, 24, 43, 64])
+@pytest.mark.parametrize('gauge', GAUGES)
+def test_factors_of_every_size_lose_the_gauge_and_nothing_else(count, gauge):
+    """Sizes about those of the blocks in which the gauge is rotated out."""
+    rng = np.random.default_rng(count)
+    null_basis = gauge_basis(rng.normal(size=(count, 3)), gauge)
+    columns = 3 * count
+    root = rng.normal(size=(2 * columns, columns))
+    root -= root @ null_basis @ null_basis.T
+    gradient = root.T @ rng.normal(size=2 * columns)
+    r, c = factor_information(root.T @ root, gradient, null_basis)
+    assert r.shape == (columns - int(gauge), columns)
+    assert not np.tril(r, -1).any()
+    np.testing.assert_allclose(r.T @ r, root.T @ root, atol=1e-11 * columns)
+    np.testing.assert_allclose(r.T @ c, gradient, atol=1e-10 * columns)
 
 
 def test_ill_conditioned_sessions_go_through_qr():
@@ -155,8 +192,6 @@ def test_packing_is_the_identity():
 
 
 def test_bad_bundles_are_refused_by_name():
-    from dataclasses import replace
-
     bundle = random_bundle(10)
     cases = {
         'keyframe_cameras': {'keyframe_cameras': np.full(6, 9)},

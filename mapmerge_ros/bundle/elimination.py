@@ -47,7 +47,13 @@ class Elimination:
 
 def point_information(lin: Linearisation) -> Floats:
     """Information (n, 3, 3) of each point with the cameras held fixed [px² / map unit²]."""
-    return sum_by_point(lin, np.einsum('oij,oik->ojk', lin.by_point, lin.by_point))
+    return sum_by_point(lin, products(lin.by_point, lin.by_point))
+
+
+def products(left: Floats, right: Floats) -> Floats:
+    """Left' right (o, j, k) of each observation's blocks (o, 2, j) and (o, 2, k)."""
+    found: Floats = left.transpose(0, 2, 1) @ right
+    return found
 
 
 def sum_by_point(lin: Linearisation, values: Floats) -> Floats:

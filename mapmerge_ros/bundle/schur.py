@@ -11,6 +11,7 @@ from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.bundle.elimination import (
     Elimination,
     point_information,
+    products,
     sum_by_keyframe,
     sum_by_point,
 )
@@ -34,8 +35,8 @@ def eliminate_by_schur(lin: Linearisation, shared_rows: Ints) -> Elimination:
 
     """
     points = lin.bundle.points
-    blocks = np.einsum('oij,oik->ojk', lin.by_pose, lin.by_point)
-    lens_blocks = sum_by_point(lin, np.einsum('oij,oik->ojk', lin.by_lens, lin.by_point))
+    blocks = products(lin.by_pose, lin.by_point)
+    lens_blocks = sum_by_point(lin, products(lin.by_lens, lin.by_point))
     information = point_information(lin)
     gradient = sum_by_point(lin, np.einsum('oij,oi->oj', lin.by_point, lin.residuals_px))
     session_information, session_gradient = _session_equations(lin)
@@ -85,10 +86,8 @@ def _session_equations(lin: Linearisation) -> tuple[Floats, Floats]:
     m = len(lin.bundle.keyframe_ids)
     poses = np.zeros((m, 6, m, 6))
     every = np.arange(m)
-    poses[every, :, every, :] = sum_by_keyframe(
-        lin, np.einsum('oij,oik->ojk', lin.by_pose, lin.by_pose)
-    )
-    crossed = sum_by_keyframe(lin, np.einsum('oij,oik->ojk', lin.by_pose, lin.by_lens))
+    poses[every, :, every, :] = sum_by_keyframe(lin, products(lin.by_pose, lin.by_pose))
+    crossed = sum_by_keyframe(lin, products(lin.by_pose, lin.by_lens))
     crossed = crossed.reshape(6 * m, lin.bundle.lens.size)
     by_lens = lin.by_lens.reshape(lin.residuals_px.size, lin.bundle.lens.size)
     rows = lin.known_rows
