@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 from merge_bundle import accuracy, bundle
-from merge_steps import CONFIG, Values, merged, rmse_to_truth, shared, started, timed
+from merge_steps import CONFIG, Values, known, merged, rmse_to_truth, shared, started, timed
 from workloads import Workload
 
 from mapmerge_ros.fusion import Warm, fuse
-from mapmerge_ros.fusion.joint.knowledge import knowledge
 from mapmerge_ros.fusion.joint.near_optimum import near_optimum
 from mapmerge_ros.fusion.local import sensitivity
 from mapmerge_ros.fusion.merge import merge as merge_densely
@@ -43,30 +42,35 @@ def merge(load: Workload, repeats: int) -> Values:
 
 
 def rewarm(load: Workload, repeats: int) -> Values:
-    """One sub-map replaced by its next revision, and back; the others and the memory stay."""
+    """
+    One sub-map replaced by its next revision, and back; the others and the memory stay.
+
+    Between two merges covariances are made, as always, and the factor at the optimum with them.
+    """
     k = [submap.map_id for submap in load.submaps].index(load.revised.map_id)
     sets = [
         (*load.submaps[:k], one, *load.submaps[k + 1 :]) for one in (load.revised, load.submaps[k])
     ]
     warm = Warm()
-    merged(load.submaps, warm)
-    took, (solution, *_) = timed(repeats, lambda turn: merged(sets[turn % 2], warm))
+
+    def remember(found: Any) -> None:
+        solution, _, _, noise = found
+        factor = known(solution, noise).factor
+        if factor is not None:
+            warm.learn_merge(solution.resumable(factor))
+
+    remember(merged(load.submaps, warm))
+    took, (solution, *_) = timed(repeats, lambda turn: merged(sets[turn % 2], warm), remember)
     expected = merged(sets[(repeats - 1) % 2], Warm())[0]
     S = align(expected.state.points, solution.state.points).S_target_source
     apart = np.abs(S.apply(solution.state.points) - expected.state.points).max()
     return {**took, 'iterations': solution.estimate.iterations, 'apart_m': float(apart)}
 
 
-def known(load: Workload, repeats: int) -> Values:
+def uncertain(load: Workload, repeats: int) -> Values:
     """Standard deviations of all landmarks, frames' covariances, R̄ of the kept ones."""
     solution, _, _, noise = merged(load.submaps, Warm())
-    keep = np.arange(len(solution.state.points)) < CONFIG.max_landmarks
-
-    def run(_: int) -> None:
-        found = knowledge(solution.cost, solution.state, Gauge.SIMILARITY, noise.sigma, keep)
-        found.normal.triangle()
-
-    return timed(repeats, run)[0]
+    return timed(repeats, lambda _: known(solution, noise).normal.triangle())[0]
 
 
 def whole(load: Workload, repeats: int) -> Values:
@@ -122,7 +126,7 @@ def local(load: Workload, repeats: int) -> Values:
 KINDS: dict[str, Callable[[Workload, int], Values]] = {
     'merge': merge,
     'rewarm': rewarm,
-    'known': known,
+    'known': uncertain,
     'whole': whole,
     'procrustes': procrustes,
     'dense': dense,

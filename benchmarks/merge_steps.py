@@ -15,12 +15,13 @@ from mapmerge_ros.association import associate
 from mapmerge_ros.fusion import FusionConfig, Warm
 from mapmerge_ros.fusion.associate import Association, of_compressed
 from mapmerge_ros.fusion.joint.cost import JointCost
+from mapmerge_ros.fusion.joint.knowledge import Knowledge, knowledge
 from mapmerge_ros.fusion.joint.start import initial_points
 from mapmerge_ros.fusion.links import find_links
 from mapmerge_ros.fusion.overlap import Link, spanning_tree
 from mapmerge_ros.fusion.solution import Anchor, Solution, solve
 from mapmerge_ros.fusion.verify import Noise, pool_noise
-from mapmerge_ros.geometry import Similarity, align
+from mapmerge_ros.geometry import Gauge, Similarity, align
 from mapmerge_ros.submap import SubMap
 
 Values = dict[str, Any]
@@ -28,8 +29,14 @@ Values = dict[str, Any]
 CONFIG = FusionConfig()
 
 
-def timed(repeats: int, run: Callable[[int], Any]) -> tuple[Values, Any]:
-    """Median CPU and wall seconds of `run(0)`, `run(1)`, … and what the last one returned."""
+def timed(
+    repeats: int, run: Callable[[int], Any], after: Callable[[Any], None] = lambda _: None
+) -> tuple[Values, Any]:
+    """
+    Median CPU and wall seconds of `run(0)`, `run(1)`, … and what the last one returned.
+
+    `after` gets what each returned, in time that is not counted.
+    """
     cpu, wall, result = [], [], None
     for k in range(repeats):
         result = None  # its memory is free before the next one
@@ -37,6 +44,7 @@ def timed(repeats: int, run: Callable[[int], Any]) -> tuple[Values, Any]:
         result = run(k)
         cpu.append(time.process_time() - before[0])
         wall.append(time.perf_counter() - before[1])
+        after(result)
     return {'cpu_s': float(np.median(cpu)), 'wall_s': float(np.median(wall))}, result
 
 
@@ -61,6 +69,12 @@ def merged(
         links,
         noise,
     )
+
+
+def known(solution: Solution, noise: Noise) -> Knowledge:
+    """Standard deviations, frames' covariances and the outgoing map, as `fuse` goes on."""
+    keep = np.arange(len(solution.state.points)) < CONFIG.max_landmarks
+    return knowledge(solution.cost, solution.state, Gauge.SIMILARITY, noise.sigma, keep)
 
 
 def started(load: Workload) -> tuple[JointCost, Association, Any]:

@@ -20,6 +20,7 @@ from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.joint.covariance import schur_complement, uncertainty
 from mapmerge_ros.fusion.joint.derivatives import gradient as gradient_of
 from mapmerge_ros.fusion.joint.dissection import dissect
+from mapmerge_ros.fusion.joint.factor import Carried
 from mapmerge_ros.fusion.joint.factorise import factorise
 from mapmerge_ros.fusion.joint.fronts import plan_fronts
 from mapmerge_ros.fusion.joint.minimise import gauss_newton, minimise, plan
@@ -33,6 +34,7 @@ from mapmerge_ros.geometry import (
     align_robustly,
     align_segments,
     align_segments_robustly,
+    gauge_basis,
 )
 from mapmerge_ros.submap import alignment_weights, pack
 
@@ -108,6 +110,31 @@ def test_what_it_knows_is_what_the_dense_inverse_says(fleets, gauges):
     (r, c), (plain_r, plain_c) = left.triangle(), wanted.triangle()
     np.testing.assert_allclose(r.T @ r / size, plain_r.T @ plain_r / size, atol=1e-9)
     np.testing.assert_allclose(np.abs(c), np.abs(plain_c), atol=1e-4)
+
+
+@pytest.mark.parametrize('gauges', CASES, ids=IDS)
+def test_the_factor_that_is_kept_is_the_matrix_of_the_shared_landmarks(fleets, gauges):
+    """Of all landmarks, in float32: restricted to the shared ones it inverts their plain sum."""
+    submaps, association, elements, cost = case(fleets, gauges)
+    found, state = at_optimum(submaps, association, cost)
+    gauge = Gauge(int(cost.gauges.min()))
+    shared = np.flatnonzero(association.views > 1)
+    points, slots = found.points, np.cumsum(association.views > 1) - 1
+    matrix = np.zeros((points.size, points.size))
+    for element in elements:
+        reduced = element.reduced()
+        reduced = replace(reduced, tracks=slots[reduced.tracks])
+        at = coordinates(reduced.tracks)
+        matrix[np.ix_(at, at)] += reduced.derivatives(reduced.place(points))[0]
+    # The whole is held in the factor, so what would move it has no answer.
+    null = gauge_basis(points, gauge)
+    wanted = np.random.default_rng(3).normal(size=points.size)
+    wanted -= null @ (null.T @ wanted)
+    carried = Carried(uncertainty(cost, state, gauge, 0.5).factor, shared)
+    solved = carried.solve(matrix @ wanted)
+    solved -= null @ (null.T @ solved)
+    assert carried.factor.storage.dtype == np.float32
+    np.testing.assert_allclose(solved, wanted, atol=0.02 * np.abs(wanted).max())
 
 
 def test_the_factor_solves_and_its_order_does_not_matter():

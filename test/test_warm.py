@@ -100,6 +100,15 @@ def test_sub_maps_that_did_not_change_need_no_new_factor(revisions, monkeypatch)
     assert not made
 
 
+def test_one_revision_takes_few_steps(revisions):
+    """With the factor made at the last optimum, and not where the last merge started."""
+    first, newer = revisions
+    warm = Warm()
+    cold = fuse(first, warm=warm).components[0]
+    replaced = fuse([newer[2], *first[:2], *first[3:]], warm=warm).components[0]
+    assert replaced.iterations <= min(5, cold.iterations)
+
+
 def test_links_of_pairs_that_did_not_change_are_kept(revisions):
     first, newer = revisions
     config, warm = FusionConfig(), Warm()

@@ -80,6 +80,8 @@ def merge_component(
             config,
             revision,
         )
+    if merged.factor is not None:
+        warm.learn_merge(state.solution.resumable(merged.factor))
     component = replace(
         merged.component,
         starts=first.solution.estimate.starts,
@@ -87,7 +89,7 @@ def merge_component(
         changes=state.changes(submaps, merged.component.names),
     )
     ratios = np.zeros(0) if state.verdict.accepted else _cost_ratios(state.solution)
-    return replace(merged, component=component, cost_ratios=ratios)
+    return replace(merged, component=component, cost_ratios=ratios, factor=None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

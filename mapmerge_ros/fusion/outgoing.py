@@ -13,6 +13,7 @@ from mapmerge_ros.arrays import Floats, Ids
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.compress import Normal, most_useful
 from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.joint.factor import Factor
 from mapmerge_ros.fusion.joint.knowledge import Knowledge, knowledge
 from mapmerge_ros.fusion.names import Names, name_landmarks
 from mapmerge_ros.fusion.outcome import Component, Landmarks, Verdict
@@ -37,6 +38,8 @@ class Merged:
     """(7, 7) each, see `MapAlignment`"""
     cost_ratios: Floats = field(default_factory=lambda: np.zeros(0))
     """(maps,) cost of each by coordinate, px², where the merge is not believed"""
+    factor: Factor | None = None
+    """Of the Gauss-Newton matrix at the optimum, for the next merge: see `Uncertainty`"""
 
 
 def compress_component(
@@ -85,7 +88,7 @@ def compress_component(
         association=association,
         names=names,
     )
-    return Merged(component, S_global_maps, tuple(known.frames))
+    return Merged(component, S_global_maps, tuple(known.frames), factor=known.factor)
 
 
 def _room(

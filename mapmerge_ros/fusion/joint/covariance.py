@@ -13,6 +13,7 @@ from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.compress import Normal
 from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.cost import JointCost, State
+from mapmerge_ros.fusion.joint.factor import Factor
 from mapmerge_ros.fusion.joint.factorise import factorise
 from mapmerge_ros.fusion.joint.fronts import Front
 from mapmerge_ros.fusion.joint.minimise import gauss_newton, plan
@@ -27,6 +28,8 @@ class Uncertainty:
     """(tracks, 3, 3)"""
     frames: Floats
     """(maps, 7, 7) left tangent of S_global_map, order of `Similarity.exp`"""
+    factor: Factor | None
+    """Of the Gauss-Newton matrix here, for the next merge; None where it would be too large"""
 
 
 def uncertainty(cost: JointCost, state: State, gauge: Gauge, sigma: float) -> Uncertainty:
@@ -61,7 +64,8 @@ def uncertainty(cost: JointCost, state: State, gauge: Gauge, sigma: float) -> Un
             if front.leaf >= 0:
                 derivative = by_points(front.leaf, front.leaf_order)
                 frames[front.leaf] = derivative @ free @ derivative.T
-    return Uncertainty(sigma**2 * landmarks, sigma**2 * frames)
+    kept = factor.rounded() if factor.fits else None
+    return Uncertainty(sigma**2 * landmarks, sigma**2 * frames, kept)
 
 
 def schur_complement(cost: JointCost, state: State, keep: Mask, gauge: Gauge) -> Normal:

@@ -27,6 +27,16 @@ class Block:
     below: Floats
     """M (b, k)"""
 
+    @classmethod
+    def at(cls, front: Front, memory: Floats, start: int) -> Block:
+        """Block of a front in its place of a memory, both parts in Fortran order."""
+        n, k = len(front.rows), front.eliminated
+        middle, stop = start + k * k, start + n * k
+        return cls(
+            memory[start:middle].reshape((k, k), order='F'),
+            memory[middle:stop].reshape((n - k, k), order='F'),
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Factor:
@@ -44,6 +54,14 @@ class Factor:
     def fits(self) -> bool:
         """Whether it is small enough to be kept until the next merge."""
         return len(self.storage) <= LARGEST_KEPT
+
+    def rounded(self) -> Factor:
+        """Copy in float32, without what is left at the root: for steps of a later merge."""
+        storage, blocks, used = self.storage.astype(np.float32), list[Block](), 0
+        for front in self.fronts.fronts[: len(self.blocks)]:
+            blocks.append(Block.at(front, storage, used))
+            used += len(front.rows) * front.eliminated
+        return Factor(self.fronts, tuple(blocks), storage)
 
     def solve(self, right: Floats) -> Floats:
         """Solve for right-hand sides (size, m)."""

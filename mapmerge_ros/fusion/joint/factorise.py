@@ -61,8 +61,9 @@ def factorise(
     used = 0
     for node, front in enumerate(fronts.fronts):
         start = used if exact else 0
-        pivot, below = _parts(front, scratch, start)
-        kept = Block(pivot, below) if exact else Block(*_parts(front, storage, used))
+        made = Block.at(front, scratch, start)
+        pivot, below = made.inverse, made.below
+        kept = made if exact else Block.at(front, storage, used)
         used += len(front.rows) * front.eliminated
         rest = stacks.push(front.depth, len(below))
         if front.leaf >= 0:
@@ -80,15 +81,6 @@ def factorise(
         blocks.append(kept)
         updates[node] = rest
     return Factor(fronts, tuple(blocks), storage)
-
-
-def _parts(front: Front, memory: Floats, start: int) -> tuple[Floats, Floats]:
-    """(k, k) and (b, k) in Fortran order."""
-    n, k = len(front.rows), front.eliminated
-    middle, stop = start + k * k, start + n * k
-    pivot: Floats = memory[start:middle].reshape((k, k), order='F')
-    below: Floats = memory[middle:stop].reshape((n - k, k), order='F')
-    return pivot, below
 
 
 def _place(front: Front, elements: Elements, pivot: Floats, below: Floats, rest: Floats) -> None:

@@ -12,6 +12,7 @@ from mapmerge_ros.arrays import Floats, Mask
 from mapmerge_ros.fusion.compress import Normal, frame_covariance, normal_equations
 from mapmerge_ros.fusion.joint.cost import JointCost, State
 from mapmerge_ros.fusion.joint.covariance import schur_complement, uncertainty
+from mapmerge_ros.fusion.joint.factor import Factor
 from mapmerge_ros.fusion.valley import LOOSE_TURN_RAD, as_wide_as_it_is
 from mapmerge_ros.geometry import Gauge
 
@@ -33,6 +34,8 @@ class Knowledge:
     """(maps, 7, 7) covariance of each frame, left tangent of S_global_map"""
     normal: Normal
     """Of the kept landmarks, all others eliminated"""
+    factor: Factor | None
+    """Of the Gauss-Newton matrix at the optimum: see `Uncertainty`"""
 
 
 def knowledge(cost: JointCost, state: State, gauge: Gauge, sigma: float, keep: Mask) -> Knowledge:
@@ -48,13 +51,15 @@ def knowledge(cost: JointCost, state: State, gauge: Gauge, sigma: float, keep: M
     found = uncertainty(cost, state, gauge, sigma)
     turns = np.linalg.eigvalsh(found.frames[:, :3, :3])[:, -1]
     if len(cost) > 1 and len(keep) <= LARGEST_BENT and not turns.max() < LOOSE_TURN_RAD**2:
-        return _bent(cost, state, gauge, sigma, keep)
+        return _bent(cost, state, gauge, sigma, keep, found.factor)
     variances = np.diagonal(found.landmarks, axis1=1, axis2=2)
     normal = schur_complement(cost, state, keep, gauge)
-    return Knowledge(np.sqrt(np.maximum(variances, 0.0)), found.frames, normal)
+    return Knowledge(np.sqrt(np.maximum(variances, 0.0)), found.frames, normal, found.factor)
 
 
-def _bent(cost: JointCost, state: State, gauge: Gauge, sigma: float, keep: Mask) -> Knowledge:
+def _bent(
+    cost: JointCost, state: State, gauge: Gauge, sigma: float, keep: Mask, factor: Factor | None
+) -> Knowledge:
     elements = cost.elements()
     placements = [element.place(state.points) for element in elements]
     straight = normal_equations(elements, state.points, placements, gauge)
@@ -64,4 +69,4 @@ def _bent(cost: JointCost, state: State, gauge: Gauge, sigma: float, keep: Mask)
         for element, placement in zip(elements, placements, strict=True)
     ]
     variances = np.maximum(np.diag(covariance), 0.0).reshape(-1, 3)
-    return Knowledge(np.sqrt(variances), np.array(frames), normal.without(~keep))
+    return Knowledge(np.sqrt(variances), np.array(frames), normal.without(~keep), factor)

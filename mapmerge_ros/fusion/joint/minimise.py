@@ -210,13 +210,20 @@ def gauss_newton(
 
 
 def held_by(cost: JointCost, state: State, gauge: Gauge, k: int, order: Ints, out: Floats) -> None:
-    """Add to the element of map k, its landmarks in this order, what holds the whole frame."""
+    """
+    Add to the element of map k, its landmarks in this order, what holds the whole frame.
+
+    Like the element itself it is right on and below the diagonal.
+    """
     rows = np.arange(cost.segments.ends[k], cost.segments.ends[k + 1])[order]
     used = cost.weights[rows] > 0.0
-    held = gauge_basis(state.points[cost.tracks[rows][used]], gauge)
-    at = np.flatnonzero(np.repeat(used, 3))
-    with np.errstate(all='ignore'):  # above the diagonal there is anything
-        out[np.ix_(at, at)] += np.einsum('ii->i', out).mean() * held @ held.T
+    if not gauge:
+        return
+    basis = gauge_basis(state.points[cost.tracks[rows][used]], gauge)
+    held = np.zeros((len(rows), 3, basis.shape[1]))
+    held[used] = basis.reshape(-1, 3, basis.shape[1])
+    size = np.einsum('ii->i', out).reshape(-1, 3)[used].mean()
+    dsyrk(size, held.reshape(len(out), -1), beta=1.0, c=out, lower=1, overwrite_c=1)
 
 
 def middle(cost: JointCost, points: Floats) -> int:
