@@ -22,7 +22,7 @@ ACCURACY_DRAWS = {'S1': 20, 'S2': 8}
 
 
 def bundle(load: Workload, repeats: int) -> Values:
-    """Ceres on all observations of all drones, from where the merge starts as well."""
+    """Ceres on all observations of all drones, from generalised Procrustes of the messages."""
     joint, limit = _joined(load), {'max_seconds': BUNDLE_SECONDS}
     made, _ = timed(1, lambda _: _adjusted(load, {'max_iterations': 0}, joint))
     took, solved = timed(repeats, lambda _: _adjusted(load, limit, joint))
@@ -57,7 +57,7 @@ def _joined(load: Workload) -> Bundle:
     """All observations as one bundle: the drones' optima in the frames that the messages give."""
     from mapmerge_ros.simulation.joint import join
 
-    cost, _, points = started(load)
+    cost, _, points = started(load, informed=False)
     S_map_globals = cost.frames(points)
     S_global_maps = [S_map_globals[k].inverse() for k in range(len(cost))]
     return join(load.bundles, S_global_maps, [one.point_ids for one in load.bundles])

@@ -81,10 +81,10 @@ def whole(load: Workload, repeats: int) -> Values:
 
 
 def procrustes(load: Workload, repeats: int) -> Values:
-    """Frames along the tree, then generalised Procrustes: where the merge starts."""
+    """Frames along the tree, then generalised Procrustes of positions."""
 
     def run(_: int) -> Any:
-        _, association, points = started(load)
+        _, association, points = started(load, informed=False)
         return points, association
 
     took, (points, association) = timed(repeats, run)
@@ -95,7 +95,7 @@ def dense(load: Workload, repeats: int) -> Values:
     """The plain merge with dense matrices, from the same start."""
 
     def run(_: int) -> Any:
-        cost, association, start = started(load)
+        cost, association, start = started(load, informed=True)
         found = merge_densely(cost.elements(), start, Gauge.SIMILARITY, CONFIG)
         return found, association
 

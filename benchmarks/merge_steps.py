@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -77,8 +78,13 @@ def known(solution: Solution, noise: Noise) -> Knowledge:
     return knowledge(solution.cost, solution.state, Gauge.SIMILARITY, noise.sigma, keep)
 
 
-def started(load: Workload) -> tuple[JointCost, Association, Any]:
-    """The joint cost, and landmarks by generalised Procrustes: where the merge starts."""
+def started(load: Workload, *, informed: bool) -> tuple[JointCost, Association, Any]:
+    """
+    The joint cost, and landmarks by generalised Procrustes.
+
+    Where the merge starts if `informed`; else from positions alone, equally good in all
+    directions, as somebody does it who has no R.
+    """
     warm = Warm()
     association = of_compressed(load.submaps, associate(load.submaps).tracks)
     links = find_links(load.submaps, association, CONFIG, warm)
@@ -92,7 +98,8 @@ def started(load: Workload) -> tuple[JointCost, Association, Any]:
     )
     gauges = [submap.gauge for submap in load.submaps]
     centre, frames = spanning_tree(range(len(cost)), gauges, links)
-    return cost, association, initial_points(cost, frames, centre)
+    plain = replace(cost, information=cost.weights[:, None, None] * np.eye(3))
+    return cost, association, initial_points(cost if informed else plain, frames, centre)
 
 
 def shared(load: Workload, association: Association, points: Any) -> tuple[Any, Any]:

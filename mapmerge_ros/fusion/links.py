@@ -76,7 +76,7 @@ def find_links(
     if not submaps:
         return ()
     warm = Warm() if warm is None else warm
-    weights = warm.informations(submaps)
+    weights = [information.weights for information in warm.informations(submaps)]
     pairs = _pairs(association)
     conditions = _conditions(pairs, association, config)
     known = [

@@ -6,13 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mapmerge_ros.arrays import Floats
 from mapmerge_ros.association.memory import Generations, Memory
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.informations import informations
 from mapmerge_ros.fusion.joint.resume import Resumable
 from mapmerge_ros.fusion.overlap import Link
-from mapmerge_ros.submap import SubMap
+from mapmerge_ros.submap import LandmarkInformation, SubMap
 
 PairKey = tuple[int, int]
 """Identities of two sub-maps, which are held by `informations`"""
@@ -33,7 +32,7 @@ class Warm(Memory):
 
     def __init__(self) -> None:
         super().__init__()
-        self._informations = Generations[int, tuple[SubMap, Floats]]()
+        self._informations = Generations[int, tuple[SubMap, LandmarkInformation]]()
         self._pairs = Generations[PairKey, Known]()
         self._merges = Generations[str, Resumable]()
 
@@ -43,13 +42,13 @@ class Warm(Memory):
         for kept in (self._informations, self._pairs, self._merges):
             kept.turn()
 
-    def informations(self, submaps: Sequence[SubMap]) -> tuple[Floats, ...]:
-        """`alignment_weights` (m_k,) of each sub-map."""
+    def informations(self, submaps: Sequence[SubMap]) -> tuple[LandmarkInformation, ...]:
+        """Of the compressed landmarks of each sub-map."""
         known = {id(one): self._informations.find(id(one)) for one in submaps}
         new = [submap for submap in submaps if known[id(submap)] is None]
-        for submap, weights in zip(new, informations(new), strict=True):
-            self._informations.keep(id(submap), (submap, weights))
-            known[id(submap)] = submap, weights
+        for submap, information in zip(new, informations(new), strict=True):
+            self._informations.keep(id(submap), (submap, information))
+            known[id(submap)] = submap, information
         return tuple(found[1] for one in submaps if (found := known[id(one)]))
 
     def known_link(self, a: SubMap, b: SubMap, condition: Condition) -> Link | None:

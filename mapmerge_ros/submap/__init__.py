@@ -3,6 +3,7 @@
 """Compressed sub-maps: immutable values."""
 
 from mapmerge_ros.submap.descriptors import Descriptors, DescriptorType
+from mapmerge_ros.submap.information import LandmarkInformation, alignment_weights
 from mapmerge_ros.submap.request import Request
 from mapmerge_ros.submap.size import (
     catalogue_bytes,
@@ -17,7 +18,6 @@ from mapmerge_ros.submap.submap import (
     upper_from_symmetric,
 )
 from mapmerge_ros.submap.triangle import (
-    alignment_weights,
     factor_information,
     factor_root,
     pack,
@@ -30,6 +30,7 @@ from mapmerge_ros.submap.triangle import (
 __all__ = [
     'DescriptorType',
     'Descriptors',
+    'LandmarkInformation',
     'Request',
     'Source',
     'SubMap',

@@ -59,27 +59,6 @@ def triangulate(matrix: Floats, vector: Floats) -> tuple[Floats, Floats]:
     return r[:kept, :columns], r[:kept, columns]
 
 
-def alignment_weights(r: Floats) -> Floats:
-    """
-    Weight (m,) of each landmark when its map is aligned: 1 / trace of its covariance.
-
-    The covariance is that of the landmark with all others held fixed, from its 3 x 3 block of
-    R'R. With these weights the merge stays as quadratic as its sub-maps are; equal weights let
-    badly determined landmarks turn the frame (5-12 % of the cost on Ladybug).
-    """
-    exact = np.asarray(r, np.float64)
-    own = np.einsum('ij,ij->j', exact, exact)
-    next_ = np.einsum('ij,ij->j', exact[:, :-1], exact[:, 1:])
-    xx, yy, zz, xy, yz = own[::3], own[1::3], own[2::3], next_[::3], next_[1::3]
-    xz = np.einsum('ij,ij->j', exact[:, :-2], exact[:, 2:])[::3]
-    minors = (xx * yy - xy**2) + (xx * zz - xz**2) + (yy * zz - yz**2)
-    determinants = xx * (yy * zz - yz**2) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    determinants = np.maximum(determinants, 0.0)
-    weights = np.zeros(len(xx))
-    np.divide(determinants, minors, out=weights, where=minors > 0.0)
-    return weights
-
-
 def factor_information(
     information: Floats, gradient: Floats, null_basis: Floats
 ) -> tuple[Floats, Floats]:

@@ -18,7 +18,7 @@ from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import Element
 from mapmerge_ros.fusion.joint.root import Root, scratch_size
 from mapmerge_ros.geometry import Gauge, Moments, Segments, Similarities, align_moments
-from mapmerge_ros.submap import SubMap
+from mapmerge_ros.submap import LandmarkInformation, SubMap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +57,8 @@ class JointCost:
     """(rows, 3) working points q°"""
     weights: Floats
     """(rows,) of the alignment, at most 1 in each map; zero for a private landmark"""
+    information: Floats
+    """(rows, 3, 3) of each landmark in its map, all others held fixed, weighted as the map is"""
     is_shared: Mask
     """(rows,)"""
     roots: tuple[Root, ...]
@@ -84,16 +86,18 @@ class JointCost:
         tracks: Sequence[Ints],
         is_shared: Mask,
         weights: Floats,
-        informations: Sequence[Floats],
+        informations: Sequence[LandmarkInformation],
     ) -> JointCost:
         """
         Cost of whole sub-maps; `is_shared` is by track, `weights` (maps,) by map.
 
-        `informations` are the `alignment_weights` of each.
+        `informations` are those of the compressed landmarks of each.
         """
         rows = np.concatenate(list(tracks))
         segments = Segments.of_lengths([len(own) for own in tracks])
-        alignment = np.where(is_shared[rows], np.concatenate(list(informations)), 0.0)
+        alignment = np.where(
+            is_shared[rows], np.concatenate([one.weights for one in informations]), 0.0
+        )
         largest = np.maximum.reduceat(alignment, segments.ends[:-1])
         return cls(
             gauges=np.array([int(submap.gauge) for submap in submaps]),
@@ -101,6 +105,9 @@ class JointCost:
             tracks=rows,
             points_map=np.concatenate([submap.compressed_points for submap in submaps]),
             weights=alignment / largest[segments.owners],
+            information=np.concatenate(
+                [weight * one.blocks for weight, one in zip(weights, informations, strict=True)]
+            ),
             is_shared=is_shared[rows],
             roots=tuple(
                 Root(submap.packed_r, submap.c, float(weight), 3 * submap.compressed_count)
@@ -128,6 +135,7 @@ class JointCost:
             tracks=slots[self.tracks[shared]],
             points_map=self.points_map[shared],
             weights=self.weights[shared],
+            information=self.information[shared],
             is_shared=shared[shared],
             roots=tuple(
                 root.without(shared[self.segments.rows(k)]) for k, root in enumerate(self.roots)
@@ -205,6 +213,14 @@ class JointCost:
     def elements(self) -> tuple[Element, ...]:
         """Every map in its plain form, which takes eight times the memory."""
         return tuple(self.element(k) for k in range(len(self)))
+
+    def by_track(self, values: Floats) -> Floats:
+        """Sum over the members of each track, (rows, ...) to (tracks, ...)."""
+        flat, count = values.reshape(len(values), -1), self.count
+        by_track = np.empty((count, flat.shape[1]))
+        for column, of_rows in enumerate(flat.T):
+            by_track[:, column] = np.bincount(self.tracks, weights=of_rows, minlength=count)
+        return by_track.reshape(count, *values.shape[1:])
 
     def means(self, points: Floats) -> Floats:
         """Weighted mean (maps, 3) of points (rows, 3)."""

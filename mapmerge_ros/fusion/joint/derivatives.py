@@ -30,13 +30,7 @@ class LowRank:
 
 def gradient(cost: JointCost, state: State) -> Floats:
     """Half the derivative (tracks, 3) of the cost by the global landmarks."""
-    size = len(state.points)
-    return np.column_stack(
-        [
-            np.bincount(cost.tracks, weights=axis, minlength=size)
-            for axis in by_members(cost, state).T
-        ]
-    )
+    return cost.by_track(by_members(cost, state))
 
 
 def by_members(cost: JointCost, state: State) -> Floats:
