@@ -205,8 +205,12 @@ def test_an_interrupted_command_says_where_the_rest_is(monkeypatch, tmp_path, ca
 
 
 SCRIPT = """
+import signal
 import sys
 from mapmerge_ros.cli import console, main
+
+# A shell starts what runs in the background with interrupts ignored, tests among it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def tell(outcomes, *_):
     for outcome in outcomes:

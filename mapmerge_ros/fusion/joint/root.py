@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.blas import dtpmv
+from scipy.linalg.lapack import dtpttr
 
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.submap import pack, triangulate, unpack
@@ -41,10 +42,7 @@ class Root:
         R is never unpacked: read as a packed triangle it fits the cache, and BLAS does the rest.
         `scratch` is for `scratch_size(columns)` numbers.
         """
-        size, count = scratch_size(self.columns), len(self.packed)
-        triangle = scratch[:size]
-        triangle[:count] = self.packed
-        triangle[count:] = 0.0
+        triangle = in_scratch(self.packed, self.columns, scratch)
         # Rows of an upper triangle are the columns of its transpose.
         residuals = dtpmv(self.columns, triangle, displacement, lower=1, trans=1)
         residuals[: len(self.c)] += self.c
@@ -65,19 +63,26 @@ class Root:
 
 
 class Unpacked:
-    """Unpacks one R after the other into the same memory: fresh pages cost more than the copy."""
+    """Unpacks one R after the other by way of the same memory."""
 
     def __init__(self, columns: int) -> None:
         """`columns` of the largest."""
-        self._flat = np.empty(columns**2)
-        self._is_upper = np.arange(columns) >= np.arange(columns)[:, None]
+        self._scratch = np.empty(scratch_size(columns))
 
     def trapezoid(self, packed: Floats, rows: int, columns: int) -> Floats:
-        """R (rows, columns) in float64, valid until the next one."""
-        r = self._flat[: rows * columns].reshape(rows, columns)
-        r[...] = 0.0
-        r[self._is_upper[:rows, :columns]] = packed
-        return r
+        """R (rows, columns) in float64, in memory of its own."""
+        triangle = in_scratch(packed, columns, self._scratch)
+        # Rows of an upper triangle are the columns of its transpose.
+        lower: Floats = dtpttr(columns, triangle, uplo='L')[0]
+        return lower.T[:rows]
+
+
+def in_scratch(packed: Floats, columns: int, scratch: Floats) -> Floats:
+    """Packed trapezoid as a packed triangle in float64, in memory that is there already."""
+    triangle = scratch[: scratch_size(columns)]
+    triangle[: len(packed)] = packed
+    triangle[len(packed) :] = 0.0
+    return triangle
 
 
 def scratch_size(columns: int) -> int:
