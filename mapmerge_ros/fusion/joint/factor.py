@@ -128,6 +128,11 @@ class Carried:
     numbers: Ints
     """(tracks,) number of each landmark in the factor"""
 
+    @property
+    def fronts(self) -> Fronts:
+        """Those of the factor."""
+        return self.factor.fronts
+
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (3 tracks,); what is gone has none."""
         old = np.zeros((self.factor.fronts.size // 3, 3))

@@ -63,6 +63,22 @@ class Fronts:
         return sum(len(front.rows) * front.eliminated for front in self.fronts)
 
     @property
+    def operations(self) -> int:
+        """Floating-point operations of a factorisation, elements of the sub-maps included."""
+        total = 0
+        for front in self.fronts:
+            k, n = front.eliminated, len(front.rows)
+            total += k**2 * (n - k) + k * (n - k) ** 2 + 2 * k**3 // 3
+            total += n**3 if front.leaf >= 0 else 0
+        return total
+
+    @property
+    def read_by_a_step(self) -> int:
+        """Numbers that one step reads: the factor forwards and backwards, R of every sub-map."""
+        triangles = sum(len(front.rows) ** 2 // 2 for front in self.fronts if front.leaf >= 0)
+        return 2 * self.storage + triangles
+
+    @property
     def largest(self) -> int:
         """Numbers in the largest part of a factor that one front makes."""
         return max(len(front.rows) * front.eliminated for front in self.fronts)

@@ -29,8 +29,12 @@ Share of a new matrix' promise from which its second step counts as slow: then i
 once, as in a bent valley, where only Gauss-Newton with a matrix for each step gets on.
 """
 
-WORTH = 25
-"""Cheap steps that cost as much as a factorisation: 20 (16 drones) to 28 (256)."""
+OPERATIONS_PER_NUMBER = 17.0
+"""
+Floating-point operations in the time that a step needs to read one number.
+
+A factorisation computes, a step reads: it costs as much as 20 steps for 16 drones, 50 for 1024.
+"""
 
 OVERSHOOT = 10.0
 """
@@ -46,6 +50,10 @@ ROUNDING = 1e-12
 
 class Solver(Protocol):
     """Stands for the inverse of a matrix."""
+
+    @property
+    def fronts(self) -> Fronts:
+        """How it was factorised."""
 
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (size,)."""
@@ -64,6 +72,14 @@ class _Matrix:
     fresh: bool = False
     """Made for the current landmarks"""
     fronts: Fronts | None = None
+
+    @property
+    def worth(self) -> float:
+        """Cheap steps that cost as much as a factorisation."""
+        if self.solver is None:
+            return 0.0
+        fronts = self.solver.fronts
+        return fronts.operations / fronts.read_by_a_step / OPERATIONS_PER_NUMBER
 
     def renew(self, damping: float = 0.0) -> None:
         """Ask for a factor of the current landmarks."""
@@ -125,7 +141,7 @@ def minimise(
         if _left(promises) <= enough:
             kept = matrix.kept(carried)
             return Estimate(state.points, state.cost, iteration, True, tuple(history), matrix=kept)
-        if matrix.damping or _is_outdated(promises, enough, own):
+        if matrix.damping or _is_outdated(promises, enough, own, matrix.worth):
             matrix.renew()
             promises, own = [], True
     return Estimate(state.points, state.cost, config.max_iterations, False, tuple(history))
@@ -138,14 +154,14 @@ def _left(promises: list[float]) -> float:
     return promises[-1] * min(1.0, float(np.sqrt(promises[-1] / promises[-3])))
 
 
-def _is_outdated(promises: list[float], enough: float, is_own: bool) -> bool:
+def _is_outdated(promises: list[float], enough: float, is_own: bool, worth: float) -> bool:
     """Whether a factorisation costs less than the steps that are left with this matrix."""
     if len(promises) == 2 and is_own:
         return promises[1] > STALLED * promises[0]
     if len(promises) < 3:
         return False
     decades = np.log(promises[-3] / promises[-1]) / 2.0  # two steps, as one may well overshoot
-    return bool(np.log(promises[-1] / enough) > WORTH * decades)
+    return bool(np.log(promises[-1] / enough) > worth * decades)
 
 
 def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple[State, float]:
