@@ -154,7 +154,7 @@ def _inverse(block: Block, boundary: Floats) -> Floats:
     """Inverse (k + b, k + b) of a front from that of its boundary (b, b), both full."""
     k, b = len(block.inverse), len(boundary)
     inverse = np.empty((k + b, k + b), order='F')
-    lower = np.tril(dlauum(block.inverse, lower=1)[0])
+    lower = dlauum(block.inverse, lower=1)[0]  # above the diagonal both are zero
     own = lower + lower.T
     own[range(k), range(k)] *= 0.5
     if b:

@@ -100,5 +100,7 @@ def _informations(cost: JointCost, state: State, sigma: float) -> tuple[Floats, 
     found = []
     for k, length in enumerate(lengths):
         lower = dsyrk(1.0 / sigma**2, jacobians.of(k, np.arange(length)).T, lower=1)
-        found.append(lower + np.tril(lower, -1).T)
+        whole = lower + lower.T  # above its diagonal it is zero
+        np.einsum('ii->i', whole)[:] *= 0.5
+        found.append(whole)
     return tuple(found)
