@@ -35,7 +35,7 @@ THREADS = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THR
 MARK = '<!-- tables of benchmarks/merge.py -->\n'
 
 NOT_OF: dict[str, tuple[str, ...]] = {
-    'S3': ('dense', 'accuracy'),
+    'S3': ('dense',),
     'S4': ('dense', 'accuracy'),
     'S5': ('dense', 'bundle', 'whole', 'local', 'accuracy'),
 }

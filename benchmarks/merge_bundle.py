@@ -17,7 +17,7 @@ BUNDLE_SECONDS = 360.0
 """Time limit of the full bundle: S4 does not converge in it."""
 
 
-ACCURACY_DRAWS = {'S1': 20, 'S2': 8}
+ACCURACY_DRAWS = {'S1': 20, 'S2': 8, 'S3': 6}
 """Draws of which the error is pooled: one draw scatters by 1 %, as few bending modes decide it."""
 
 
