@@ -14,8 +14,7 @@ from mapmerge_ros.bundle import Bundle
 from mapmerge_ros.fusion import Warm
 
 BUNDLE_SECONDS = 360.0
-"""Time limit of the full bundle: S4 does not converge in it."""
-
+"""Time limit of the full bundle: S4 needs most of it, or more."""
 
 ACCURACY_DRAWS = {'S1': 20, 'S2': 8, 'S3': 6}
 """Draws of which the error is pooled: one draw scatters by 1 %, as few bending modes decide it."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmerge_ros.arrays import Floats
+from mapmerge_ros.submap.submap import symmetric_from_upper
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,8 +33,8 @@ class LandmarkInformation:
         determinants = xx * (yy * zz - yz**2) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
         weights = np.zeros(len(xx))
         np.divide(np.maximum(determinants, 0.0), minors, out=weights, where=minors > 0.0)
-        blocks = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
-        return cls(blocks, weights)
+        upper = np.column_stack([xx, xy, xz, yy, yz, zz])
+        return cls(symmetric_from_upper(upper), weights)
 
 
 def alignment_weights(r: Floats) -> Floats:

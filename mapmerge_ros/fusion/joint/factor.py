@@ -155,8 +155,7 @@ def _inverse(block: Block, boundary: Floats) -> Floats:
     k, b = len(block.inverse), len(boundary)
     inverse = np.empty((k + b, k + b), order='F')
     lower = dlauum(block.inverse, lower=1)[0]  # above the diagonal both are zero
-    own = lower + lower.T
-    own[range(k), range(k)] *= 0.5
+    own = mirrored(lower)
     if b:
         coupling = dtrmm(1.0, block.inverse, block.below, side=1, lower=1)
         pulled = boundary @ coupling
@@ -165,6 +164,13 @@ def _inverse(block: Block, boundary: Floats) -> Floats:
         inverse[k:, k:] = boundary
     inverse[:k, :k] = own
     return inverse
+
+
+def mirrored(lower: Floats) -> Floats:
+    """Symmetric matrix of a lower triangle, with zeros above its diagonal."""
+    whole: Floats = lower + lower.T
+    np.einsum('ii->i', whole)[:] *= 0.5
+    return whole
 
 
 def _pick(matrix: Floats, runs: tuple[Run, ...]) -> Floats:

@@ -14,6 +14,7 @@ from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.cost import JointCost, State
+from mapmerge_ros.fusion.joint.factor import mirrored
 from mapmerge_ros.fusion.joint.factorise import factorise
 from mapmerge_ros.fusion.joint.minimise import held_by, middle, plan
 from mapmerge_ros.fusion.quadratic import Members, Quadratic
@@ -100,7 +101,5 @@ def _informations(cost: JointCost, state: State, sigma: float) -> tuple[Floats, 
     found = []
     for k, length in enumerate(lengths):
         lower = dsyrk(1.0 / sigma**2, jacobians.of(k, np.arange(length)).T, lower=1)
-        whole = lower + lower.T  # above its diagonal it is zero
-        np.einsum('ii->i', whole)[:] *= 0.5
-        found.append(whole)
+        found.append(mirrored(lower))
     return tuple(found)

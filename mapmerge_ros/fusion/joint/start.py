@@ -108,20 +108,18 @@ def _steps(cost: JointCost, frames: Similarities, free: Mask) -> Floats:
     own = cost.segments.products(weighted, tangents)
     own[:, range(7), range(7)] += ~free
     blocks = scipy.sparse.bsr_array((own, np.arange(maps), np.arange(maps + 1)))
-    through = _by_track(cost, inverse[cost.tracks] @ weighted)
-    matrix = blocks - _by_track(cost, weighted).T @ through
+    pulls, answers = _as_matrices(cost, weighted, inverse[cost.tracks] @ weighted)
+    matrix = blocks - pulls.T @ answers
     right = cost.segments.sums(np.einsum('mia,mi->ma', weighted, apart))
     return -_solve_banded(matrix.tocoo(), right.ravel()).reshape(maps, 7)
 
 
-def _by_track(cost: JointCost, values: Floats) -> scipy.sparse.bsr_array:
-    """Values (rows, 3, 7) as a matrix (3 tracks, 7 maps)."""
+def _as_matrices(cost: JointCost, *each: Floats) -> list[scipy.sparse.bsr_array]:
+    """Values (rows, 3, 7) of members, each as a matrix (3 tracks, 7 maps)."""
     order = np.argsort(cost.tracks, kind='stable')
     ends = np.concatenate([[0], np.cumsum(np.bincount(cost.tracks))])
-    return scipy.sparse.bsr_array(
-        (values[order], cost.segments.owners[order], ends),
-        shape=(3 * cost.count, 7 * len(cost)),
-    )
+    maps, shape = cost.segments.owners[order], (3 * cost.count, 7 * len(cost))
+    return [scipy.sparse.bsr_array((values[order], maps, ends), shape=shape) for values in each]
 
 
 def _solve_banded(matrix: scipy.sparse.coo_array, right: Floats) -> Floats:
