@@ -141,7 +141,7 @@ def minimise(
         if _left(promises) <= enough:
             kept = matrix.kept(carried)
             return Estimate(state.points, state.cost, iteration, True, tuple(history), matrix=kept)
-        if matrix.damping or _is_outdated(promises, enough, own, matrix.worth):
+        if matrix.damping or _is_outdated(promises, enough, own, matrix):
             matrix.renew()
             promises, own = [], True
     return Estimate(state.points, state.cost, config.max_iterations, False, tuple(history))
@@ -154,14 +154,14 @@ def _left(promises: list[float]) -> float:
     return promises[-1] * min(1.0, float(np.sqrt(promises[-1] / promises[-3])))
 
 
-def _is_outdated(promises: list[float], enough: float, is_own: bool, worth: float) -> bool:
+def _is_outdated(promises: list[float], enough: float, is_own: bool, matrix: _Matrix) -> bool:
     """Whether a factorisation costs less than the steps that are left with this matrix."""
     if len(promises) == 2 and is_own:
         return promises[1] > STALLED * promises[0]
     if len(promises) < 3:
         return False
     decades = np.log(promises[-3] / promises[-1]) / 2.0  # two steps, as one may well overshoot
-    return bool(np.log(promises[-1] / enough) > worth * decades)
+    return bool(np.log(promises[-1] / enough) > matrix.worth * decades)
 
 
 def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple[State, float]:
