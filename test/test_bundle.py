@@ -10,6 +10,7 @@ from scenes import assert_same_elimination, random_bundle
 
 from mapmerge_ros.bundle import MapName, compress, eliminate, linearise
 from mapmerge_ros.bundle.dense import dense_jacobian
+from mapmerge_ros.bundle.follow import follow
 from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
 from mapmerge_ros.geometry import Gauge, Similarity, gauge_basis
 from mapmerge_ros.submap import factor_information, pack, packed_size, unpack
@@ -154,6 +155,44 @@ def test_update_brings_back_cameras_and_points():
     before = np.abs(bent.points - truth.points).max()
     assert np.abs(update.bundle.points - true_map).max() < 1e-2 * before
     assert linearise(update.bundle).cost_px2 < 1e-4 * linearise(bent).cost_px2
+
+
+def test_update_survives_a_point_whose_answer_is_behind_its_camera():
+    """Seen from two key frames half a mm apart: their small turns take it through the cameras."""
+    bundle, private, rows = random_bundle(3), 0, np.arange(1, 30)
+    rotations, translations = (
+        each.copy() for each in (bundle.rotations_camera_map, bundle.translations_camera_map)
+    )
+    rotations[1], translations[1] = rotations[0], translations[0] + np.array([5e-4, 0.0, 0.0])
+    # The two have no other point in common, so what they answer differs.
+    seen, seers = bundle.observation_points, bundle.observation_keyframes
+    kept = np.where(seen == private, seers < 2, (seers > 1) | (seen % 2 == seers))
+    bundle = replace(
+        bundle,
+        rotations_camera_map=rotations,
+        translations_camera_map=translations,
+        observation_keyframes=bundle.observation_keyframes[kept],
+        observation_points=bundle.observation_points[kept],
+        observations_px=bundle.observations_px[kept],
+    )
+    exact = bundle.observations_px + linearise(bundle).residuals_px
+    lin = linearise(replace(bundle, observations_px=exact))
+    found = eliminate(lin, rows)
+    own = bundle.observation_points == private
+    before = bundle.points_camera()[own]
+    steps = 2e-3 * np.random.default_rng(3).normal(size=(29, 3))
+    answer = 0.0
+    for signed in (steps, -steps):  # the one away from the cameras, the other towards them
+        try:
+            expected = lin.moved(*found.steps(lin, signed)).points
+        except InvalidValue:
+            after = follow(lin, found, rows, signed)
+            np.testing.assert_array_equal(after.points[rows], bundle.points[rows] + signed)
+            assert np.abs(after.points_camera()[own] - before).max() < 0.1
+        else:
+            answer = np.linalg.norm(expected[private] - bundle.points[private])
+            np.testing.assert_array_equal(follow(lin, found, rows, signed).points, expected)
+    assert answer > before[:, 2].max()
 
 
 def test_a_submap_says_what_the_bundle_knows():

@@ -14,6 +14,7 @@ from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.bundle.bundle import Bundle
 from mapmerge_ros.bundle.dense import eliminate_densely
 from mapmerge_ros.bundle.elimination import Elimination, point_information
+from mapmerge_ros.bundle.follow import follow
 from mapmerge_ros.bundle.linearise import Linearisation, linearise
 from mapmerge_ros.bundle.quality import claimed_variances
 from mapmerge_ros.bundle.schur import eliminate_by_schur
@@ -171,7 +172,7 @@ def update(
     Raises
     ------
     InvalidValue
-        An id that the bundle does not have.
+        An id that the bundle does not have, or a landmark that would be behind its camera.
     DegenerateGeometry
         Too few landmarks to hold the cameras or to align the frames.
 
@@ -180,4 +181,4 @@ def update(
     found = eliminate(lin, rows, method)
     S_map_global = into_map(bundle, rows, found, points_global)
     shared_steps = S_map_global.apply(points_global) - bundle.points[rows]
-    return Update(lin.moved(*found.steps(lin, shared_steps)), S_map_global)
+    return Update(follow(lin, found, rows, shared_steps), S_map_global)

@@ -16,6 +16,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.bundle.bundle import Bundle
 from mapmerge_ros.bundle.compress import eliminate, into_map
+from mapmerge_ros.bundle.follow import follow
 from mapmerge_ros.bundle.linearise import linearise
 from mapmerge_ros.errors import InvalidValue
 
@@ -65,22 +66,11 @@ def relinearise(bundle: Bundle, landmark_ids: Ids, points_global: Floats) -> Rel
 
 
 def _follow(bundle: Bundle, rows: Ints, points_global: Floats) -> Bundle:
-    """Shared points moved by all of their step, everything else by its best linear answer."""
     lin = linearise(bundle)
     found = eliminate(lin, rows)
     S_map_global = into_map(bundle, rows, found, points_global)
     shared_steps = S_map_global.apply(points_global) - bundle.points[rows]
-    pose_steps, point_steps, lens_steps = found.steps(lin, shared_steps)
-    try:
-        return lin.moved(pose_steps, point_steps, lens_steps)
-    except InvalidValue:  # a badly determined private point stepped behind its camera
-        return lin.moved(pose_steps, _only(rows, shared_steps, len(point_steps)), lens_steps)
-
-
-def _only(rows: Ints, shared_steps: Floats, count: int) -> Floats:
-    steps = np.zeros((count, 3))
-    steps[rows] = shared_steps
-    return steps
+    return follow(lin, found, rows, shared_steps)
 
 
 def _improved(bundle: Bundle, rows: Ints, cost: float) -> tuple[Bundle, float]:

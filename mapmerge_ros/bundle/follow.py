@@ -1,0 +1,53 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Everything else of a bundle after its shared points have moved (eq. 4 of the paper)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.bundle.bundle import Bundle
+from mapmerge_ros.bundle.elimination import Elimination
+from mapmerge_ros.bundle.linearise import Linearisation
+from mapmerge_ros.errors import InvalidValue
+
+
+def follow(
+    lin: Linearisation, found: Elimination, shared_rows: Ints, shared_steps: Floats
+) -> Bundle:
+    """
+    Bundle with its shared points moved by (k, 3), everything else by its best linear answer.
+
+    A private point of hardly any parallax may answer with a step to behind a camera that observes
+    it; such a point goes where its cameras carry it.
+
+    Raises
+    ------
+    InvalidValue
+        A shared point would be behind a camera that observes it.
+
+    """
+    pose_steps, point_steps, lens_steps = found.steps(lin, shared_steps)
+    try:
+        return lin.moved(pose_steps, point_steps, lens_steps)
+    except InvalidValue:
+        carried = _carried(lin.bundle, shared_rows, pose_steps, point_steps)
+        return lin.moved(pose_steps, carried, lens_steps)
+
+
+def _carried(bundle: Bundle, shared_rows: Ints, pose_steps: Floats, point_steps: Floats) -> Floats:
+    """Steps (n, 3); private points that would be behind a camera go with those that see them."""
+    keyframes, points = bundle.observation_keyframes, bundle.observation_points
+    turns = Rotation.from_rotvec(pose_steps[:, :3]).as_matrix()
+    rotations = (turns @ bundle.rotations_camera_map)[keyframes]
+    translations = (bundle.translations_camera_map + pose_steps[:, 3:])[keyframes]
+    moved = (bundle.points + point_steps)[points]
+    depths = np.einsum('oj,oj->o', rotations[:, 2], moved) + translations[:, 2]
+    behind = np.setdiff1d(points[depths <= 0.0], shared_rows)
+    places = np.einsum('oji,oj->oi', rotations, bundle.points_camera() - translations)
+    carried = point_steps.copy()
+    for row in behind:
+        carried[row] = places[points == row].mean(axis=0) - bundle.points[row]
+    return carried
