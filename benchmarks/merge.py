@@ -36,7 +36,7 @@ MARK = '<!-- tables of benchmarks/merge.py -->\n'
 
 NOT_OF: dict[str, tuple[str, ...]] = {
     'S3': ('dense',),
-    'S4': ('dense', 'accuracy'),
+    'S4': ('dense',),
     'S5': ('dense', 'bundle', 'whole', 'local', 'accuracy'),
 }
 """What takes too long or too much memory."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from workloads import Workload
 
+from mapmerge_ros.arrays import Ids
 from mapmerge_ros.association import associate
 from mapmerge_ros.fusion import FusionConfig, Warm
 from mapmerge_ros.fusion.associate import Association, of_compressed
@@ -104,7 +105,12 @@ def started(load: Workload, *, informed: bool) -> tuple[JointCost, Association, 
 
 def shared(load: Workload, association: Association, points: Any) -> tuple[Any, Any]:
     """Landmarks of several sub-maps and where they are in truth; all compressed ones are."""
-    ids = np.zeros(association.count, np.uint64)
+    return points, load.points_world(ids_of_tracks(load, association))
+
+
+def ids_of_tracks(load: Workload, association: Association) -> Ids:
+    """The id (tracks,) that every landmark has in all sub-maps."""
+    ids: Ids = np.zeros(association.count, np.uint64)
     for submap, own in zip(load.submaps, association.tracks, strict=True):
         ids[own] = submap.compressed_ids
-    return points, load.points_world(ids)
+    return ids

@@ -31,6 +31,7 @@ SECOND = (
     ('merge', 'rmse'),
     ('merge : bundle', 'rmse_ratio'),
     ('merge : bundle, many draws', 'pooled_ratio'),
+    ('apart : error of bundle', 'apart'),
     ('Procrustes : bundle', 'procrustes_ratio'),
     ('Procrustes [s]', 'procrustes'),
     ('dense merge [s]', 'dense'),
@@ -123,6 +124,7 @@ def rows_of(results: dict[str, Any]) -> list[dict[str, Any]]:
         if 'accuracy' in found:
             accuracy = found['accuracy']
             row['pooled_ratio'] = f'{accuracy["ratio"]:.4f} ({accuracy["draws"]})'
+            row['apart'] = accuracy['apart']
         if 'known' in found:
             row['known_memory'] = found['known']['growth_mb']
         if 'bundle' in found:

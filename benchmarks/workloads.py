@@ -77,8 +77,15 @@ class Workload:
         return points
 
 
-def workload(name: str, seed: int = 0, *, drones: int | None = None) -> Workload:
-    """S1 to S5, or the same kind of fleet with another number of drones."""
+def workload(
+    name: str, seed: int = 0, *, drones: int | None = None, mirrored: bool = False
+) -> Workload:
+    """
+    S1 to S5, or the same kind of fleet with another number of drones.
+
+    `mirrored` has the same noise with the opposite sign.
+    """
+    sign = -1.0 if mirrored else 1.0
     rng, noise = np.random.default_rng([seed, len(name)]).spawn(2)
     count = drones or DRONES[name]
     scene, truths = _flights(rng, count, together=name == 'S1')
@@ -87,10 +94,11 @@ def workload(name: str, seed: int = 0, *, drones: int | None = None) -> Workload
     submaps, bundles, frames = [], [], []
     for k, (truth, own) in enumerate(zip(truths, noise.spawn(count), strict=True)):
         S_map_world = random_frame(own, truth.gauge)
-        bundle = _session(truth, own, is_common, k, S_map_world)
+        bundle = _session(truth, own, is_common, k, S_map_world, sign)
         submaps.append(_message(bundle, k, 1))
         if k == count // 2:
-            revised = _message(_session(truth, own, is_common, k, S_map_world), k, 2)
+            again = _session(truth, own, is_common, k, S_map_world, sign)
+            revised = _message(again, k, 2)
         bundles += [bundle] if keep else []
         frames.append(S_map_world.inverse())
     return Workload(name, tuple(submaps), tuple(bundles), tuple(frames), scene.points, revised)
@@ -193,11 +201,12 @@ def _session(
     is_common: Mask,
     drone: int,
     S_map_world: Similarity,
+    sign: float,
 ) -> Bundle:
     """Map at its optimum in the given frame; what is not matched has an id of the drone's own."""
     common = is_common[truth.point_ids.astype(np.int64)]
     own = PRIVATE + np.uint64(2**24 * (drone + 1)) + truth.point_ids
-    noise_px = 0.5 * rng.normal(size=truth.observations_px.shape)
+    noise_px = 0.5 * sign * rng.normal(size=truth.observations_px.shape)
     bundle = replace(
         truth,
         point_ids=np.where(common, truth.point_ids, own),

@@ -14,7 +14,7 @@ from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.bundle.bundle import Bundle
 from mapmerge_ros.bundle.dense import eliminate_densely
 from mapmerge_ros.bundle.elimination import Elimination, point_information
-from mapmerge_ros.bundle.follow import follow
+from mapmerge_ros.bundle.follow import behind, follow
 from mapmerge_ros.bundle.linearise import Linearisation, linearise
 from mapmerge_ros.bundle.quality import claimed_variances
 from mapmerge_ros.bundle.schur import eliminate_by_schur
@@ -159,6 +159,8 @@ class Update:
     """in the robot's own frame"""
     S_map_global: Similarity
     """from the frame of the landmarks that came in"""
+    left_out_ids: Ids
+    """(l,) landmarks that would be behind a camera, which had no say"""
 
 
 def update(
@@ -167,18 +169,28 @@ def update(
     """
     Cameras and points of a bundle that follow from merged landmarks, by ds/dq (eq. 4).
 
-    `points_global` (k, 3) is first taken into the robot's frame, in the group of its gauge.
+    `points_global` (k, 3) is first taken into the robot's frame, in the group of its gauge. A
+    landmark that would come to lie behind a camera of this robot is left out: its merged place is
+    no better than a guess.
 
     Raises
     ------
     InvalidValue
-        An id that the bundle does not have, or a landmark that would be behind its camera.
+        An id that the bundle does not have.
     DegenerateGeometry
         Too few landmarks to hold the cameras or to align the frames.
 
     """
-    lin, rows = linearise(bundle), bundle.rows_of(np.asarray(landmark_ids, np.uint64))
-    found = eliminate(lin, rows, method)
-    S_map_global = into_map(bundle, rows, found, points_global)
-    shared_steps = S_map_global.apply(points_global) - bundle.points[rows]
-    return Update(follow(lin, found, rows, shared_steps), S_map_global)
+    lin, ids = linearise(bundle), np.asarray(landmark_ids, np.uint64)
+    rows, left_out = bundle.rows_of(ids), np.zeros(len(ids), bool)
+    while True:
+        known = rows[~left_out]
+        found = eliminate(lin, known, method)
+        S_map_global = into_map(bundle, known, found, points_global[~left_out])
+        shared_steps = S_map_global.apply(points_global[~left_out]) - bundle.points[known]
+        pose_steps, point_steps, _ = found.steps(lin, shared_steps)
+        lost = np.isin(rows, behind(bundle, pose_steps, point_steps)) & ~left_out
+        if not lost.any():
+            moved = follow(lin, found, known, shared_steps)
+            return Update(moved, S_map_global, ids[left_out])
+        left_out |= lost

@@ -37,17 +37,28 @@ def follow(
         return lin.moved(pose_steps, carried, lens_steps)
 
 
+def behind(bundle: Bundle, pose_steps: Floats, point_steps: Floats) -> Ints:
+    """Rows of the points that such steps take behind a camera that observes them."""
+    rotations, translations = _poses(bundle, pose_steps)
+    moved = (bundle.points + point_steps)[bundle.observation_points]
+    depths = np.einsum('oj,oj->o', rotations[:, 2], moved) + translations[:, 2]
+    return np.unique(bundle.observation_points[depths <= 0.0])
+
+
 def _carried(bundle: Bundle, shared_rows: Ints, pose_steps: Floats, point_steps: Floats) -> Floats:
     """Steps (n, 3); private points that would be behind a camera go with those that see them."""
-    keyframes, points = bundle.observation_keyframes, bundle.observation_points
-    turns = Rotation.from_rotvec(pose_steps[:, :3]).as_matrix()
-    rotations = (turns @ bundle.rotations_camera_map)[keyframes]
-    translations = (bundle.translations_camera_map + pose_steps[:, 3:])[keyframes]
-    moved = (bundle.points + point_steps)[points]
-    depths = np.einsum('oj,oj->o', rotations[:, 2], moved) + translations[:, 2]
-    behind = np.setdiff1d(points[depths <= 0.0], shared_rows)
+    rotations, translations = _poses(bundle, pose_steps)
     places = np.einsum('oji,oj->oi', rotations, bundle.points_camera() - translations)
     carried = point_steps.copy()
-    for row in behind:
-        carried[row] = places[points == row].mean(axis=0) - bundle.points[row]
+    for row in np.setdiff1d(behind(bundle, pose_steps, point_steps), shared_rows):
+        own = bundle.observation_points == row
+        carried[row] = places[own].mean(axis=0) - bundle.points[row]
     return carried
+
+
+def _poses(bundle: Bundle, pose_steps: Floats) -> tuple[Floats, Floats]:
+    """Rotations (o, 3, 3) and translations (o, 3) of the observing cameras after such steps."""
+    turns = Rotation.from_rotvec(pose_steps[:, :3]).as_matrix()
+    rotations = turns @ bundle.rotations_camera_map
+    translations = bundle.translations_camera_map + pose_steps[:, 3:]
+    return rotations[bundle.observation_keyframes], translations[bundle.observation_keyframes]
