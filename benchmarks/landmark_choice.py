@@ -9,8 +9,9 @@ Judged are the merged landmarks, which is what goes out; the frames of the robot
 that a choice can do for them; and everything that the robots have reconstructed, after each has
 taken the merged landmarks back (eq. 4): all points and all cameras, compared with the gold bundle
 of a real set, or with the truth of a simulated one (`choice_errors`). The lot draws among the
-landmarks that two robots have in common, each for all robots that have it, within the same budget:
-a lot among all landmarks of a map would join nothing. Ids are known.
+landmarks that two robots have in common, each for all robots that have it, within the same budget.
+The last column says how many lots bring all robots together if each robot draws among its own
+landmarks, knowing nothing of the others. Ids are known.
 
 Numbers are the error of the choice over the median error of the lots. What the merge of all common
 landmarks reaches (at most 400 of a map) is given for the frames: no choice can do much better.
@@ -42,9 +43,11 @@ MOST = 400
 
 FRAMES = COLUMNS.index('frames, RMS')
 
+LAST_COLUMNS = ('all common, frames', 'lots joined', 'own lots joined')
+
 HEAD = [
-    '| robots | budget | ' + ' | '.join(COLUMNS) + ' | all common, frames | lots joined |',
-    '|---' * (len(COLUMNS) + 4) + '|',
+    f'| robots | budget | {" | ".join((*COLUMNS, *LAST_COLUMNS))} |',
+    '|---' * (len(COLUMNS) + len(LAST_COLUMNS) + 2) + '|',
 ]
 
 BEGIN, END = '<!-- choice -->\n', '<!-- end of choice -->'
@@ -59,6 +62,8 @@ class Compared:
     everything: Floats
     joined: int
     """Lots that joined all robots"""
+    alone_joined: int
+    """Lots of each robot for itself that did"""
 
 
 def by_lot(bundles: Sequence[Bundle], budget: int, rng: np.random.Generator) -> list[Ids]:
@@ -72,6 +77,14 @@ def by_lot(bundles: Sequence[Bundle], budget: int, rng: np.random.Generator) -> 
             taken[takers, track] = True
             room[takers] -= 1
     return [ids[row] for row in taken]
+
+
+def by_own_lot(bundles: Sequence[Bundle], budget: int, rng: np.random.Generator) -> list[Ids]:
+    """Landmarks in random order, of each robot for itself."""
+    return [
+        np.sort(rng.choice(bundle.point_ids, min(budget, len(bundle.point_ids)), replace=False))
+        for bundle in bundles
+    ]
 
 
 def error_of(robots: Robots, chosen: Sequence[Ids]) -> Floats | None:
@@ -89,10 +102,13 @@ def compare(robots: Robots, budgets: Sequence[int], draws: int) -> list[Compared
         chosen = error_of(
             robots, choose_for_bundles(robots.bundles, robots.names, budget, robots.quality)
         )
-        drawn = [
-            error_of(robots, by_lot(robots.bundles, budget, np.random.default_rng([budget, draw])))
-            for draw in range(draws)
-        ]
+        drawn, alone = (
+            [
+                error_of(robots, lot(robots.bundles, budget, rng))
+                for rng in generators(budget, draws)
+            ]
+            for lot in (by_lot, by_own_lot)
+        )
         joined = [each for each in drawn if each is not None]
         compared.append(
             Compared(
@@ -100,9 +116,15 @@ def compare(robots: Robots, budgets: Sequence[int], draws: int) -> list[Compared
                 np.median(joined, axis=0) if joined else nothing,
                 nothing if everything is None else everything,
                 len(joined),
+                sum(each is not None for each in alone),
             )
         )
     return compared
+
+
+def generators(budget: int, draws: int) -> list[np.random.Generator]:
+    """Random numbers of each lot."""
+    return [np.random.default_rng([budget, draw]) for draw in range(draws)]
 
 
 def pooled(one_budget: Sequence[Compared]) -> tuple[Floats, float]:
@@ -121,9 +143,11 @@ def rows(groups: Iterator[tuple[str, list[Robots]]], draws: int) -> Iterator[str
         for at, budget in enumerate(BUDGETS):
             one_budget = [each[at] for each in compared]
             ratios, bound = pooled(one_budget)
-            joined = sum(each.joined for each in one_budget)
             cells = ' | '.join(f'{ratio:.2f}' for ratio in (*ratios, bound))
-            yield f'| {name} | {budget} | {cells} | {joined} of {draws * len(group)} |'
+            counts = (sum(each.joined for each in one_budget),)
+            counts += (sum(each.alone_joined for each in one_budget),)
+            joined = ' | '.join(f'{count} of {draws * len(group)}' for count in counts)
+            yield f'| {name} | {budget} | {cells} | {joined} |'
 
 
 def every(data: Path, seeds: int) -> Iterator[tuple[str, list[Robots]]]:

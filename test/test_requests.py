@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,7 +15,7 @@ from submaps import random_submap
 
 from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.fusion import FusionConfig
-from mapmerge_ros.fusion.requests import Denial, landmark_budget, plan_requests
+from mapmerge_ros.fusion.requests import Denial, _has_all, landmark_budget, plan_requests
 from mapmerge_ros.io import encode_submap
 from mapmerge_ros.submap import Request, SubMap, catalogue_bytes, information_bytes
 
@@ -95,6 +96,23 @@ def test_a_newcomer_is_joined_and_nobody_else_falls_short(seed: int) -> None:
         for b in after:
             ideal = set(fresh[a].landmark_ids) & set(fresh[b].landmark_ids)
             assert a == b or len(after[a] & after[b]) >= 0.6 * len(ideal)
+
+
+@pytest.mark.parametrize('budget', [10, 60, 1000])
+def test_where_all_that_is_common_is_compressed_no_choice_would_ask_for_more(
+    budget: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = strips(4)
+    owners = Counter(int(one) for submap in fleet for one in submap.landmark_ids)
+    common = [[one for one in submap.landmark_ids if owners[int(one)] > 1] for submap in fleet]
+    served = [answered(submap, ids) for submap, ids in zip(fleet, common, strict=True)]
+    lacking = [answered(fleet[0], common[0][1:]), *served[1:]]
+    config = FusionConfig(request_landmarks=budget)
+    assert _has_all(served, tracks_by_id(served))
+    assert not _has_all(lacking, tracks_by_id(lacking))
+    assert not plan(served, config)
+    monkeypatch.setattr('mapmerge_ros.fusion.requests._has_all', lambda *_: False)
+    assert not plan(served, config)
 
 
 def test_what_a_robot_denies_is_asked_of_nobody() -> None:

@@ -46,6 +46,8 @@ def plan_requests(
         return ()
     limits = [denied.get(submap.map_id, _NO_DENIAL) for submap in submaps]
     tracks = tracks.without(submaps, [limit.landmark_ids for limit in limits])
+    if _has_all(submaps, tracks):
+        return ()
     budgets = [
         min(landmark_budget(submap, config), limit.capacity)
         for submap, limit in zip(submaps, limits, strict=True)
@@ -75,6 +77,18 @@ def landmark_budget(submap: SubMap, config: FusionConfig) -> int:
     if not config.request_bytes:
         return config.request_landmarks
     return min(config.request_landmarks, most_landmarks(submap, config.request_bytes))
+
+
+def _has_all(submaps: Sequence[SubMap], tracks: Tracks) -> bool:
+    """Whether all that any two sub-maps have in common is compressed: then no choice is better."""
+    owners = np.zeros(tracks.count, np.int64)
+    for own in tracks.tracks:
+        owners[np.unique(own[own >= 0])] += 1
+    return not any(
+        (owners[listed[listed >= 0]] > 1).any()
+        for submap, own in zip(submaps, tracks.tracks, strict=True)
+        if len(listed := own[submap.compressed_count :])
+    )
 
 
 def _lacking(
