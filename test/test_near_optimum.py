@@ -11,10 +11,11 @@ pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres: pip
 from dataclasses import replace
 
 from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion.joint.covariance import uncertainty
 from mapmerge_ros.fusion.joint.near_optimum import near_optimum
 from mapmerge_ros.fusion.local import sensitivity
 from mapmerge_ros.fusion.quadratic import quadratic
-from mapmerge_ros.geometry import Gauge
+from mapmerge_ros.geometry import Gauge, gauge_basis
 from mapmerge_ros.submap import pack
 
 SIGMA_PX = 0.7
@@ -68,6 +69,26 @@ def test_local_tests_by_fronts_are_those_of_the_dense_inverse(fleets, gauges):
     np.testing.assert_allclose(
         after.statistic, wanted_after.statistic, rtol=1e-5, atol=1e-6, equal_nan=True
     )
+
+
+@pytest.mark.parametrize('gauges', CASES, ids=IDS)
+def test_what_comes_by_of_landmarks_and_frames_is_what_is_known_of_them(fleets, gauges):
+    submaps, association, _, cost = case(fleets, gauges)
+    reduced = cost.reduced()
+    state = reduced.evaluate(merged(submaps, association, cost).points)
+    gauge, learnt = Gauge(int(cost.gauges.min())), []
+    sensitivity(near_optimum(reduced, state, gauge, SIGMA_PX, learnt.append))
+    expected = uncertainty(reduced, state, gauge, SIGMA_PX)
+    for name in ('landmarks', 'frames'):
+        wanted = getattr(expected, name)
+        np.testing.assert_allclose(
+            getattr(learnt[0], name), wanted, atol=1e-8 * np.abs(wanted).max()
+        )
+    force = np.random.default_rng(0).normal(size=(state.points.size, 1))
+    force -= (basis := gauge_basis(state.points, gauge)) @ (basis.T @ force)
+    wanted = expected.factor.solve(force)
+    found = learnt[0].factor.solve(force)
+    np.testing.assert_allclose(found, wanted, atol=1e-4 * np.abs(wanted).max())
 
 
 def test_a_landmark_that_nothing_determines_is_said_so(fleets):

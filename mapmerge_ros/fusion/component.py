@@ -16,6 +16,7 @@ from mapmerge_ros.fusion.changes import Change, Off, describe
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.covariance_model import CovarianceModel
 from mapmerge_ros.fusion.examination import Examination
+from mapmerge_ros.fusion.joint.covariance import Uncertainty
 from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.fusion.outcome import Verdict
 from mapmerge_ros.fusion.outgoing import Merged, compress_component
@@ -79,6 +80,7 @@ def merge_component(
             task.anchor,
             config,
             revision,
+            state.uncertainty,
         )
     if merged.factor is not None:
         warm.learn_merge(state.solution.resumable(merged.factor))
@@ -101,6 +103,8 @@ class _State:
     verdict: Verdict
     examination: Examination | None
     taken_out: tuple[Off, ...]
+    uncertainty: Uncertainty | None
+    """Of the solution, where the examination has come across it"""
 
     def told(self) -> Verdict:
         """Verdict on what is merged, with the number of landmarks that are not."""
@@ -118,8 +122,7 @@ class _State:
         """Return the examination with what relates it to the sub-maps."""
         if self.examination is None:
             return None
-        rows, S_global_estimate = self.solution.rows, self.solution.S_global_estimate
-        return Examined(self.examination, self.association, rows, S_global_estimate)
+        return Examined(self.examination, self.association, self.solution.rows)
 
     def changes(self, submaps: Sequence[SubMap], names: Names) -> tuple[Change, ...]:
         """Return what was taken out, where it is now, and what is doubtful of the rest."""
@@ -167,7 +170,7 @@ class _Task:
             )
         with self.stopwatch.measure('test'):
             gauge = min(submap.gauge for submap in self.submaps)
-            verdict, examination = verify_merge(
+            verdict, examination, uncertainty = verify_merge(
                 [submap.map_id for submap in self.submaps],
                 solution.reduced,
                 solution.estimate,
@@ -178,7 +181,9 @@ class _Task:
                 self.config,
                 known,
             )
-        return _State(association, solution, verdict, examination, taken_out)
+        if solution.reduced is not solution.cost:
+            uncertainty = None  # it knows nothing of private landmarks
+        return _State(association, solution, verdict, examination, taken_out, uncertainty)
 
     def without_what_is_off(self, state: _State) -> _State | None:
         """Merge again without it; None if nothing is, or too much for the rest to be believed."""

@@ -13,6 +13,7 @@ from mapmerge_ros.arrays import Floats, Ids
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.compress import Normal, most_useful
 from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.joint.covariance import Uncertainty
 from mapmerge_ros.fusion.joint.factor import Factor
 from mapmerge_ros.fusion.joint.knowledge import Knowledge, knowledge
 from mapmerge_ros.fusion.names import Names, name_landmarks
@@ -51,8 +52,13 @@ def compress_component(
     anchor: Anchor,
     config: FusionConfig,
     revision: int,
+    uncertainty: Uncertainty | None = None,
 ) -> Merged:
-    """Compress a merged component again, all frames eliminated."""
+    """
+    Compress a merged component again, all frames eliminated.
+
+    `uncertainty` is that of the solution, where it is known already.
+    """
     gauge = min(submap.gauge for submap in submaps)
     names = name_landmarks(submaps, association)
     ids = names.of_tracks(association)
@@ -62,7 +68,7 @@ def compress_component(
     limit, has_catalogue = _room(submaps, catalogue, names.id_space, config)
     keep = most_useful(np.where(names.nameless, 0, association.views), ids, limit)
     keep &= ~names.nameless
-    known = knowledge(solution.cost, solution.state, gauge, noise.sigma, keep)
+    known = knowledge(solution.cost, solution.state, gauge, noise.sigma, keep, uncertainty)
     component = Component(
         map_ids=tuple(submap.map_id for submap in submaps),
         gauge=gauge,

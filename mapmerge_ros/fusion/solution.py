@@ -34,14 +34,12 @@ class Anchor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Every landmark and frame, in the global frame (`state`); `reduced` as merged."""
+    """Every landmark and frame: `state`; the shared ones as merged: `estimate` of `reduced`."""
 
     cost: JointCost
     reduced: JointCost
     state: State
     estimate: Estimate
-    S_global_estimate: Similarity
-    """From the frame of `estimate`"""
     dof: int
     rows: tuple[Ints, ...]
     """Per sub-map, rows of its shared landmarks among the compressed ones"""
@@ -95,7 +93,6 @@ def solve(
         resume(reduced, members, last) if last else None,
     )
     warm.learn_merge(Resumable(members, estimate.points, estimate.matrix))
-    estimate = replace(estimate, matrix=None)
     points = cost.recover_private(estimate.points, association.count)
     held = [submap.map_id for submap in submaps].index(anchor.map_id)
     S_global_estimate = anchor.S_global_map @ cost.frames(points)[held]
@@ -103,8 +100,7 @@ def solve(
         cost,
         reduced,
         cost.evaluate(S_global_estimate.apply(points)),
-        estimate,
-        S_global_estimate,
+        replace(estimate, points=S_global_estimate.apply(estimate.points), matrix=None),
         dof,
         tuple(np.flatnonzero(is_shared[own]) for own in association.tracks),
         members,

@@ -16,7 +16,6 @@ from mapmerge_ros.fusion.confirm import members_of
 from mapmerge_ros.fusion.examination import Examination
 from mapmerge_ros.fusion.objects import MovedObject
 from mapmerge_ros.fusion.quadratic import Members
-from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import SubMap
 
 MAX_UNLOCKED = 0.35
@@ -37,16 +36,13 @@ class Examined:
     association: Association
     rows: Sequence[Ints]
     """Per sub-map, rows of its shared landmarks among the compressed ones"""
-    S_global_estimate: Similarity
-    """From the frame of the examined merge"""
 
     def off(
         self, at: Ints, displacements: Floats, covariances: Floats, p_values: Floats, objects: Ints
     ) -> Off:
-        """Some members (m,), with their displacements (m, 3) in the frame of the merge."""
+        """Some members (m,), with their displacements (m, 3)."""
         assert self.found.tests is not None
-        members, S = self.found.tests.members, self.S_global_estimate
-        linear = S.scale * S.rotation
+        members = self.found.tests.members
         maps, inside = members.maps[at], members.rows[at]
         rows = np.array([self.rows[k][row] for k, row in zip(maps, inside, strict=True)], int)
         tracks = np.array(
@@ -60,8 +56,8 @@ class Examined:
             tracks=tracks,
             partners=np.where(views == 2, everyone.astype(np.int64) - maps, -1),
             own_tracks=self.association.count + np.arange(len(at)),
-            displacements_global=displacements @ linear.T,
-            covariances_global=linear @ covariances @ linear.T,
+            displacements_global=displacements,
+            covariances_global=covariances,
             p_values=p_values,
             objects=objects,
         )

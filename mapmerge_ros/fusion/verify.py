@@ -17,6 +17,7 @@ from mapmerge_ros.fusion.covariance_model import CovarianceModel
 from mapmerge_ros.fusion.examination import Examination, by_textbook
 from mapmerge_ros.fusion.honest import TESTED_FIRST, examine, is_large
 from mapmerge_ros.fusion.joint.cost import JointCost
+from mapmerge_ros.fusion.joint.covariance import Uncertainty
 from mapmerge_ros.fusion.joint.near_optimum import near_optimum
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.misfit import MAX_RATIO, worst_map
@@ -101,7 +102,7 @@ def verify_merge(
     noise: Noise,
     config: FusionConfig,
     known: CovarianceModel | None = None,
-) -> tuple[Verdict, Examination | None]:
+) -> tuple[Verdict, Examination | None, Uncertainty | None]:
     """
     Test a merge, with the errors that maps of real cameras have where the textbook refuses.
 
@@ -109,20 +110,24 @@ def verify_merge(
     stays accepted, with its own p-value, unless its landmarks are not Gaussian; what moved
     together is refused as long as it is merged. Where a model was needed, no sub-map may be
     much worse than it is for the others. `known` are the errors of these sub-maps, if something
-    has been taken out of their merge already.
+    has been taken out of their merge already. What is known of landmarks and frames comes along
+    where all of the inverse was needed.
     """
     textbook = verify(estimate.cost, dof, noise, config)
     if dof <= 0:
-        return textbook, None
+        return textbook, None, None
     redundancy = noise.estimated_from or np.inf
     large = is_large(reduced.segments.lengths, len(estimate.points))
     if large and textbook.p_value >= TESTED_FIRST:
-        return textbook, by_textbook(estimate.cost / noise.sigma**2, dof, redundancy)
+        return textbook, by_textbook(estimate.cost / noise.sigma**2, dof, redundancy), None
     certain = estimate.converged and is_certain(links, len(reduced))
-    merge = near_optimum(reduced, reduced.evaluate(estimate.points), gauge, noise.sigma)
+    learnt: list[Uncertainty] = []
+    state = reduced.evaluate(estimate.points)
+    merge = near_optimum(reduced, state, gauge, noise.sigma, learnt.append)
     found = examine(merge, redundancy, certain=certain, known=known)
     verdict = _judged(textbook, found, config)
-    return _unless_one_is_wrong(verdict, found, merge, map_ids, certain=certain), found
+    verdict = _unless_one_is_wrong(verdict, found, merge, map_ids, certain=certain)
+    return verdict, found, learnt[-1] if learnt else None
 
 
 def _unless_one_is_wrong(

@@ -49,23 +49,40 @@ def uncertainty(cost: JointCost, state: State, gauge: Gauge, sigma: float) -> Un
         factor = factorise(plan(cost, state.points), gauss_newton(cost, state, gauge))
     except np.linalg.LinAlgError:
         raise DegenerateGeometry('a merged landmark is not determined') from None
-    null = gauge_basis(state.points, gauge)
-    pulled = factor.solve(null) if null.shape[1] else null
-    inner = null.T @ pulled
-    landmarks = np.empty((len(state.points), 3, 3))
-    frames = np.empty((len(cost), 7, 7))
-    by_points = _FramesByPoints(cost, state)
+    gathering = Gathering(cost, state, gauge, factor)
     for front, block in factor.inverse_blocks():
-        if front.eliminated or front.leaf >= 0:
-            own = front.rows if front.leaf >= 0 else front.rows[: front.eliminated]
-            n, z = null[own], pulled[own]
-            free = block[: len(own), : len(own)] + n @ (inner @ n.T - z.T) - z @ n.T
-            _take_landmarks(front, free, landmarks)
-            if front.leaf >= 0:
-                derivative = by_points(front.leaf, front.leaf_order)
-                frames[front.leaf] = derivative @ free @ derivative.T
-    kept = factor.rounded() if factor.fits else None
-    return Uncertainty(sigma**2 * landmarks, sigma**2 * frames, kept)
+        gathering.take(front, block)
+    return gathering.uncertainty(sigma)
+
+
+class Gathering:
+    """What is known of landmarks and frames, from one block of the inverse after the other."""
+
+    def __init__(self, cost: JointCost, state: State, gauge: Gauge, factor: Factor) -> None:
+        self._factor = factor
+        self._null = gauge_basis(state.points, gauge)
+        self._pulled = factor.solve(self._null) if self._null.shape[1] else self._null
+        self._inner = self._null.T @ self._pulled
+        self._landmarks = np.empty((len(state.points), 3, 3))
+        self._frames = np.empty((len(cost), 7, 7))
+        self._by_points = _FramesByPoints(cost, state)
+
+    def take(self, front: Front, block: Floats) -> None:
+        """Take note of the inverse (k + b, k + b) on a front."""
+        if not front.eliminated and front.leaf < 0:
+            return
+        own = front.rows if front.leaf >= 0 else front.rows[: front.eliminated]
+        n, z = self._null[own], self._pulled[own]
+        free = block[: len(own), : len(own)] + n @ (self._inner @ n.T - z.T) - z @ n.T
+        _take_landmarks(front, free, self._landmarks)
+        if front.leaf >= 0:
+            derivative = self._by_points(front.leaf, front.leaf_order)
+            self._frames[front.leaf] = derivative @ free @ derivative.T
+
+    def uncertainty(self, sigma: float) -> Uncertainty:
+        """All of it, when every front has been taken."""
+        kept = self._factor.rounded() if self._factor.fits else None
+        return Uncertainty(sigma**2 * self._landmarks, sigma**2 * self._frames, kept)
 
 
 def schur_complement(cost: JointCost, state: State, keep: Mask, gauge: Gauge) -> Normal:

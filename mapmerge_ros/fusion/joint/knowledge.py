@@ -11,7 +11,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Mask
 from mapmerge_ros.fusion.compress import Normal, frame_covariance, normal_equations
 from mapmerge_ros.fusion.joint.cost import JointCost, State
-from mapmerge_ros.fusion.joint.covariance import schur_complement, uncertainty
+from mapmerge_ros.fusion.joint.covariance import Uncertainty, schur_complement, uncertainty
 from mapmerge_ros.fusion.joint.factor import Factor
 from mapmerge_ros.fusion.valley import LOOSE_TURN_RAD, as_wide_as_it_is
 from mapmerge_ros.geometry import Gauge
@@ -38,9 +38,18 @@ class Knowledge:
     """Of the Gauss-Newton matrix at the optimum: see `Uncertainty`"""
 
 
-def knowledge(cost: JointCost, state: State, gauge: Gauge, sigma: float, keep: Mask) -> Knowledge:
+def knowledge(
+    cost: JointCost,
+    state: State,
+    gauge: Gauge,
+    sigma: float,
+    keep: Mask,
+    found: Uncertainty | None = None,
+) -> Knowledge:
     """
     Collect what is known at the optimum; wider than an ellipsoid where the region bends.
+
+    `found` is the uncertainty there, if it is known already.
 
     Raises
     ------
@@ -48,7 +57,7 @@ def knowledge(cost: JointCost, state: State, gauge: Gauge, sigma: float, keep: M
         A landmark is not determined.
 
     """
-    found = uncertainty(cost, state, gauge, sigma)
+    found = found or uncertainty(cost, state, gauge, sigma)
     turns = np.linalg.eigvalsh(found.frames[:, :3, :3])[:, -1]
     if len(cost) > 1 and len(keep) <= LARGEST_BENT and not turns.max() < LOOSE_TURN_RAD**2:
         return _bent(cost, state, gauge, sigma, keep, found.factor)

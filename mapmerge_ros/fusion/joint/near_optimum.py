@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.linalg.blas import dsyrk
@@ -14,6 +14,7 @@ from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.cost import JointCost, State
+from mapmerge_ros.fusion.joint.covariance import Gathering, Uncertainty
 from mapmerge_ros.fusion.joint.factor import mirrored
 from mapmerge_ros.fusion.joint.factorise import factorise
 from mapmerge_ros.fusion.joint.minimise import held_by, middle, plan
@@ -21,12 +22,19 @@ from mapmerge_ros.fusion.quadratic import Members, Quadratic
 from mapmerge_ros.geometry import Gauge, gauge_basis
 
 
-def near_optimum(cost: JointCost, state: State, gauge: Gauge, sigma: float) -> Quadratic:
+def near_optimum(
+    cost: JointCost,
+    state: State,
+    gauge: Gauge,
+    sigma: float,
+    learn: Callable[[Uncertainty], None] = lambda _: None,
+) -> Quadratic:
     """
     Quadratic of a merge at its optimum, every landmark shared; `gauge` is that of the result.
 
     `quadratic` of the same elements is its plain form. `sigma` [px] is the noise of a residual of
-    unit weight.
+    unit weight. When somebody has asked for the blocks of the inverse, `learn` is told what they
+    say of landmarks and frames: it comes by on the way.
     """
     lengths = cost.segments.lengths
     members = Members(
@@ -43,7 +51,7 @@ def near_optimum(cost: JointCost, state: State, gauge: Gauge, sigma: float) -> Q
         tuple(Gauge(int(own)) for own in cost.gauges),
         gauge,
         state.cost / sigma**2,
-        lambda: FrontInverse(cost, state, gauge, information),
+        lambda: FrontInverse(cost, state, gauge, sigma, information, learn),
     )
 
 
@@ -56,10 +64,16 @@ class FrontInverse:
     """
 
     def __init__(
-        self, cost: JointCost, state: State, gauge: Gauge, information: tuple[Floats, ...]
+        self,
+        cost: JointCost,
+        state: State,
+        gauge: Gauge,
+        sigma: float,
+        information: tuple[Floats, ...],
+        learn: Callable[[Uncertainty], None],
     ) -> None:
         """
-        Factorise H, its frame held by the sub-map in the middle.
+        Factorise σ²H, its frame held by the sub-map in the middle.
 
         Raises
         ------
@@ -72,6 +86,7 @@ class FrontInverse:
         def element(k: int, order: Ints, out: Floats) -> None:
             at = coordinates(order)
             np.take(np.take(information[k], at, axis=0), at, axis=1, out=out.T, mode='clip')
+            out *= sigma**2
             if k == holder:
                 held_by(cost, state, gauge, k, order, out)
 
@@ -80,19 +95,23 @@ class FrontInverse:
         except np.linalg.LinAlgError:
             raise DegenerateGeometry('a merged landmark is not determined') from None
         self._null = gauge_basis(state.points, gauge)
+        self._sigma, self._learn = sigma, learn
+        self._gathering = Gathering(cost, state, gauge, self._factor)
 
     def solve(self, right: Floats) -> Floats:
         """Solve for right-hand sides (3n, m); the map as a whole does not move."""
-        moved = self._factor.solve(right)
+        moved = self._sigma**2 * self._factor.solve(right)
         moved -= self._null @ (self._null.T @ moved)
         return moved
 
     def blocks(self) -> Iterator[tuple[int, Floats]]:
         """Each sub-map with its own block (3s_k, 3s_k)."""
         for front, block in self._factor.inverse_blocks():
+            self._gathering.take(front, block)
             if front.leaf >= 0:
                 at = coordinates(np.argsort(front.leaf_order))
-                yield front.leaf, block[np.ix_(at, at)]
+                yield front.leaf, self._sigma**2 * block[np.ix_(at, at)]
+        self._learn(self._gathering.uncertainty(self._sigma))
 
 
 def _informations(cost: JointCost, state: State, sigma: float) -> tuple[Floats, ...]:
