@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 from merge_steps import Values, ids_of_tracks, merged, rmse_to_truth, started, timed
-from workloads import Workload, workload
+from workloads import DRONES, Workload, workload
 
-from mapmerge_ros.bundle import Bundle
+from mapmerge_ros.arrays import Floats, Ids
+from mapmerge_ros.bundle import Bundle, MapName
 from mapmerge_ros.fusion import Warm
-from mapmerge_ros.geometry import align
+from mapmerge_ros.fusion.refine import Robot, refine
 
 BUNDLE_SECONDS = 360.0
 """Time limit of the full bundle: S4 needs most of it, or more."""
@@ -46,25 +47,52 @@ def bundle(load: Workload, repeats: int) -> Values:
     }
 
 
+REFINED = 16
+"""Drones up to which a round of refinement is tried: it compresses to all landmarks."""
+
+
 def accuracy(load: Workload, repeats: int) -> Values:
-    """Error to the truth over that of the full bundle, over pairs of draws with opposite noise."""
-    pairs, squares = ACCURACY_PAIRS.get(load.name, repeats), []
+    """
+    Error to the truth over that of the full bundle, over pairs of draws with opposite noise.
+
+    How far the merge is apart from the bundle, before and after one round with the robots, is that
+    over the error of the bundle as well.
+    """
+    whole = len(load.submaps) == DRONES[load.name]
+    pairs, squares = ACCURACY_PAIRS.get(load.name, repeats) if whole else repeats, []
     for seed, mirrored in itertools.product(range(pairs), (False, True)):
         one = workload(load.name, seed, drones=len(load.submaps), mirrored=mirrored)
         solution, association, _, _ = merged(one.submaps, Warm())
         ids, points = ids_of_tracks(one, association), solution.state.points
         truth, solved = one.points_world(ids), _adjusted(one, {}).bundle
         full = solved.points[solved.rows_of(ids)]
-        points = align(full, points).S_target_source.apply(points)
-        squares.append([rmse_to_truth(*each) ** 2 for each in ((points, truth), (full, truth))])
-        squares[-1].append(np.mean(np.sum((points - full) ** 2, axis=1)))
-    own, bundled, apart = np.sum(squares, axis=0)
-    return {
+        refined = _after_a_round(one, ids) if len(one.submaps) <= REFINED else full
+        both = ((points, truth), (full, truth), (points, full), (refined, full))
+        squares.append([rmse_to_truth(*each) ** 2 for each in both])
+    own, bundled, apart, left = np.sum(squares, axis=0)
+    found = {
         'draws': 2 * pairs,
         'ratio': float(np.sqrt(own / bundled)),
         'apart': float(np.sqrt(apart / bundled)),
-        'ratios': [float(np.sqrt(own / bundled)) for own, bundled, _ in squares],
+        'ratios': [float(np.sqrt(own / bundled)) for own, bundled, *_ in squares],
     }
+    if len(load.submaps) <= REFINED:
+        found['apart_after_a_round'] = float(np.sqrt(left / bundled))
+    return found
+
+
+def _after_a_round(load: Workload, ids: Ids) -> Floats:
+    """Landmarks when each robot has linearised again where the first merge had them."""
+    robots = [
+        Robot(
+            MapName(submap.map_id, submap.robot_id, stamp_ns=submap.stamp_ns, id_space='fleet'),
+            bundle,
+            submap.compressed_ids,
+        )
+        for submap, bundle in zip(load.submaps, load.bundles, strict=True)
+    ]
+    landmarks = refine(robots, 2)[1][-1].fusion.components[0].landmarks
+    return landmarks.points_global[np.searchsorted(landmarks.ids, ids)]
 
 
 def _joined(load: Workload) -> Bundle:

@@ -5,6 +5,7 @@
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip('pycolmap', reason='the full bundle is solved by Ceres: pip install pycolmap')
@@ -28,6 +29,23 @@ def test_a_small_fleet_is_merged_as_well_as_it_is_bundled(measured):
     assert 0.8 < measured['merge']['variance_factor'] < 1.2
     assert measured['whole']['maps'] == 4
     assert measured['rewarm']['apart_m'] < 1e-4 * measured['merge']['rmse_m']
+
+
+def test_noise_of_both_signs_takes_out_what_is_luck_and_a_round_what_is_left(measured):
+    accuracy = measured['accuracy']
+    assert accuracy['draws'] == 2
+    assert abs(accuracy['ratio'] - 1.0) < 0.01
+    assert accuracy['apart_after_a_round'] < 0.1 * accuracy['apart'] < 0.02
+
+
+def test_a_mirrored_workload_has_the_opposite_noise():
+    """The mean of both maps of a drone is off the truth only by what is of second order."""
+    pair = [workload('S2', drones=4, mirrored=mirrored) for mirrored in (False, True)]
+    for k, (one, other) in enumerate(zip(*(load.submaps for load in pair), strict=True)):
+        truth = pair[0].points_world(one.compressed_ids)
+        S_world_map = pair[0].S_world_maps[k]
+        off = [S_world_map.apply(each.compressed_points) - truth for each in (one, other)]
+        assert np.abs(off[0] + off[1]).max() < 0.1 * np.abs(off[0]).max()
 
 
 def test_the_tables_have_every_size_and_every_ratio(measured):

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,7 +52,8 @@ def uncertainty(cost: JointCost, state: State, gauge: Gauge, sigma: float) -> Un
     gathering = Gathering(cost, state, gauge, factor)
     for front, block in factor.inverse_blocks():
         gathering.take(front, block)
-    return gathering.uncertainty(sigma)
+    found = gathering.uncertainty()
+    return replace(found, landmarks=sigma**2 * found.landmarks, frames=sigma**2 * found.frames)
 
 
 class Gathering:
@@ -79,10 +80,15 @@ class Gathering:
             derivative = self._by_points(front.leaf, front.leaf_order)
             self._frames[front.leaf] = derivative @ free @ derivative.T
 
-    def uncertainty(self, sigma: float) -> Uncertainty:
-        """All of it, when every front has been taken."""
-        kept = self._factor.rounded() if self._factor.fits else None
-        return Uncertainty(sigma**2 * self._landmarks, sigma**2 * self._frames, kept)
+    def uncertainty(self, scale: float = 1.0) -> Uncertainty:
+        """
+        All of it, when every front has been taken.
+
+        The matrix that was factorised is the inverse covariance; times the square of `scale` it is
+        the Gauss-Newton matrix.
+        """
+        kept = self._factor.rounded(scale) if self._factor.fits else None
+        return Uncertainty(self._landmarks, self._frames, kept)
 
 
 def schur_complement(cost: JointCost, state: State, keep: Mask, gauge: Gauge) -> Normal:

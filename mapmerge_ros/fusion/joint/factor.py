@@ -55,11 +55,18 @@ class Factor:
         """Whether it is small enough to be kept until the next merge."""
         return len(self.storage) <= LARGEST_KEPT
 
-    def rounded(self) -> Factor:
-        """Copy in float32, without what is left at the root: for steps of a later merge."""
-        storage, blocks, used = self.storage.astype(np.float32), list[Block](), 0
-        for front in self.fronts.fronts[: len(self.blocks)]:
-            blocks.append(Block.at(front, storage, used))
+    def rounded(self, scale: float = 1.0) -> Factor:
+        """
+        Copy in float32, without what is left at the root: for steps of a later merge.
+
+        It is the factor of the matrix times the square of `scale`.
+        """
+        storage, blocks, used = np.empty(len(self.storage), np.float32), list[Block](), 0
+        for front, exact in zip(self.fronts.fronts, self.blocks, strict=False):
+            block = Block.at(front, storage, used)
+            # Without noise `scale` is far below what float32 can hold; the quotient is not.
+            block.inverse[...], block.below[...] = exact.inverse / scale, exact.below * scale
+            blocks.append(block)
             used += len(front.rows) * front.eliminated
         return Factor(self.fronts, tuple(blocks), storage)
 

@@ -27,7 +27,7 @@ def near_optimum(
     state: State,
     gauge: Gauge,
     sigma: float,
-    learn: Callable[[Uncertainty], None] = lambda _: None,
+    learn: Callable[[Uncertainty], None] | None = None,
 ) -> Quadratic:
     """
     Quadratic of a merge at its optimum, every landmark shared; `gauge` is that of the result.
@@ -70,10 +70,10 @@ class FrontInverse:
         gauge: Gauge,
         sigma: float,
         information: tuple[Floats, ...],
-        learn: Callable[[Uncertainty], None],
+        learn: Callable[[Uncertainty], None] | None,
     ) -> None:
         """
-        Factorise σ²H, its frame held by the sub-map in the middle.
+        Factorise H, its frame held by the sub-map in the middle.
 
         Raises
         ------
@@ -86,7 +86,6 @@ class FrontInverse:
         def element(k: int, order: Ints, out: Floats) -> None:
             at = coordinates(order)
             np.take(np.take(information[k], at, axis=0), at, axis=1, out=out.T, mode='clip')
-            out *= sigma**2
             if k == holder:
                 held_by(cost, state, gauge, k, order, out)
 
@@ -96,22 +95,24 @@ class FrontInverse:
             raise DegenerateGeometry('a merged landmark is not determined') from None
         self._null = gauge_basis(state.points, gauge)
         self._sigma, self._learn = sigma, learn
-        self._gathering = Gathering(cost, state, gauge, self._factor)
+        self._gathering = Gathering(cost, state, gauge, self._factor) if learn else None
 
     def solve(self, right: Floats) -> Floats:
         """Solve for right-hand sides (3n, m); the map as a whole does not move."""
-        moved = self._sigma**2 * self._factor.solve(right)
+        moved = self._factor.solve(right)
         moved -= self._null @ (self._null.T @ moved)
         return moved
 
     def blocks(self) -> Iterator[tuple[int, Floats]]:
         """Each sub-map with its own block (3s_k, 3s_k)."""
         for front, block in self._factor.inverse_blocks():
-            self._gathering.take(front, block)
+            if self._gathering:
+                self._gathering.take(front, block)
             if front.leaf >= 0:
                 at = coordinates(np.argsort(front.leaf_order))
-                yield front.leaf, self._sigma**2 * block[np.ix_(at, at)]
-        self._learn(self._gathering.uncertainty(self._sigma))
+                yield front.leaf, block[np.ix_(at, at)]
+        if self._learn and self._gathering:
+            self._learn(self._gathering.uncertainty(self._sigma))
 
 
 def _informations(cost: JointCost, state: State, sigma: float) -> tuple[Floats, ...]:
