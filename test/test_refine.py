@@ -80,6 +80,27 @@ def test_a_robot_keeps_its_landmarks_where_it_is_told():
     assert linearise(found.bundle).cost_px2 == found.cost_px2
 
 
+def test_a_step_behind_a_camera_is_shortened(monkeypatch):
+    from mapmerge_ros.fusion import refine as module
+
+    honest, costs = module._relinearised, []
+
+    def shy(*args):
+        costs.append(None)
+        if len(costs) == 2:  # all of the second round's step
+            raise InvalidValue('points: point 7 is behind a camera that observes it')
+        robots, costs[-1] = honest(*args)
+        return robots, costs[-1]
+
+    monkeypatch.setattr(module, '_relinearised', shy)
+    _, rounds = refine(robots_of(simulate_fleet(FleetConfig(), 6)), 2)
+    assert [each.share for each in rounds] == [1.0, 0.5]
+    assert costs[2] <= costs[0]
+    costs[:] = [None]
+    with pytest.raises(InvalidValue, match='behind a camera'):  # nowhere to shorten it to
+        refine(robots_of(simulate_fleet(FleetConfig(), 6)), 1)
+
+
 def test_a_step_that_is_too_long_is_shortened(monkeypatch):
     """Landmarks thrown ten times too far would raise the true cost; the rounds do not."""
     from mapmerge_ros.fusion import refine as module

@@ -134,7 +134,13 @@ def _advance(state: _State, fusion: Fusion) -> tuple[_State, _Taken]:
     share = 1.0
     for _ in range(MAX_HALVINGS if before else 1):
         points = _between(before, wanted, share) if before else wanted
-        robots, cost = _relinearised(state.robots, fusion, points)
+        try:
+            robots, cost = _relinearised(state.robots, fusion, points)
+        except InvalidValue:  # the step takes a landmark behind a camera of some robot
+            if before is None:
+                raise
+            share /= 2.0
+            continue
         if cost <= state.cost_px2:
             return _State(robots, points, cost), _Taken(before, points, share)
         share /= 2.0
