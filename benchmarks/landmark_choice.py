@@ -144,10 +144,11 @@ def rows(groups: Iterator[tuple[str, list[Robots]]], draws: int) -> Iterator[str
             one_budget = [each[at] for each in compared]
             ratios, bound = pooled(one_budget)
             cells = ' | '.join(f'{ratio:.2f}' for ratio in (*ratios, bound))
-            counts = (sum(each.joined for each in one_budget),)
-            counts += (sum(each.alone_joined for each in one_budget),)
-            joined = ' | '.join(f'{count} of {draws * len(group)}' for count in counts)
-            yield f'| {name} | {budget} | {cells} | {joined} |'
+            joined, alone = (
+                f'{sum(getattr(each, which) for each in one_budget)} of {draws * len(group)}'
+                for which in ('joined', 'alone_joined')
+            )
+            yield f'| {name} | {budget} | {cells} | {joined} | {alone} |'
 
 
 def every(data: Path, seeds: int) -> Iterator[tuple[str, list[Robots]]]:

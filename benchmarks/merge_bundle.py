@@ -58,15 +58,16 @@ def accuracy(load: Workload, repeats: int) -> Values:
     How far the merge is apart from the bundle, before and after one round with the robots, is that
     over the error of the bundle as well.
     """
-    whole = len(load.submaps) == DRONES[load.name]
-    pairs, squares = ACCURACY_PAIRS.get(load.name, repeats) if whole else repeats, []
+    count = len(load.submaps)
+    pairs = ACCURACY_PAIRS.get(load.name, repeats) if count == DRONES[load.name] else repeats
+    squares = []
     for seed, mirrored in itertools.product(range(pairs), (False, True)):
-        one = workload(load.name, seed, drones=len(load.submaps), mirrored=mirrored)
+        one = workload(load.name, seed, drones=count, mirrored=mirrored)
         solution, association, _, _ = merged(one.submaps, Warm())
         ids, points = ids_of_tracks(one, association), solution.state.points
         truth, solved = one.points_world(ids), _adjusted(one, {}).bundle
         full = solved.points[solved.rows_of(ids)]
-        refined = _after_a_round(one, ids) if len(one.submaps) <= REFINED else full
+        refined = _after_a_round(one, ids) if count <= REFINED else full
         both = ((points, truth), (full, truth), (points, full), (refined, full))
         squares.append([rmse_to_truth(*each) ** 2 for each in both])
     own, bundled, apart, left = np.sum(squares, axis=0)
@@ -76,7 +77,7 @@ def accuracy(load: Workload, repeats: int) -> Values:
         'apart': float(np.sqrt(apart / bundled)),
         'ratios': [float(np.sqrt(own / bundled)) for own, bundled, *_ in squares],
     }
-    if len(load.submaps) <= REFINED:
+    if count <= REFINED:
         found['apart_after_a_round'] = float(np.sqrt(left / bundled))
     return found
 

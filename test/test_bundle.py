@@ -188,12 +188,14 @@ def test_a_weak_point_whose_answer_is_behind_its_cameras_goes_with_them():
         try:
             expected = lin.moved(*found.steps(lin, signed)).points
         except InvalidValue:
-            after = follow(lin, found, rows, signed)
+            after = follow(lin, rows, found.steps(lin, signed))
             np.testing.assert_array_equal(after.points[rows], bundle.points[rows] + signed)
             assert np.abs(after.points_camera()[own] - before).max() < 0.1
         else:
             answer = np.linalg.norm(expected[0] - bundle.points[0])
-            np.testing.assert_array_equal(follow(lin, found, rows, signed).points, expected)
+            np.testing.assert_array_equal(
+                follow(lin, rows, found.steps(lin, signed)).points, expected
+            )
     assert answer > before[:, 2].max()
 
 

@@ -188,9 +188,8 @@ def update(
         found = eliminate(lin, known, method)
         S_map_global = into_map(bundle, known, found, points_global[~left_out])
         shared_steps = S_map_global.apply(points_global[~left_out]) - bundle.points[known]
-        pose_steps, point_steps, _ = found.steps(lin, shared_steps)
-        lost = np.isin(rows, behind(bundle, pose_steps, point_steps)) & ~left_out
+        steps = found.steps(lin, shared_steps)
+        lost = np.isin(rows, behind(bundle, *steps[:2])) & ~left_out
         if not lost.any():
-            moved = follow(lin, found, known, shared_steps)
-            return Update(moved, S_map_global, ids[left_out])
+            return Update(follow(lin, known, steps), S_map_global, ids[left_out])
         left_out |= lost

@@ -9,16 +9,15 @@ from scipy.spatial.transform import Rotation
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.bundle.bundle import Bundle
-from mapmerge_ros.bundle.elimination import Elimination
 from mapmerge_ros.bundle.linearise import Linearisation
-from mapmerge_ros.errors import InvalidValue
+
+Steps = tuple[Floats, Floats, Floats]
+"""Of poses (m, 6), points (n, 3) and lenses (l, 7): what `Elimination.steps` gives"""
 
 
-def follow(
-    lin: Linearisation, found: Elimination, shared_rows: Ints, shared_steps: Floats
-) -> Bundle:
+def follow(lin: Linearisation, shared_rows: Ints, steps: Steps) -> Bundle:
     """
-    Bundle with its shared points moved by (k, 3), everything else by its best linear answer.
+    Bundle after steps in which everything follows the shared points, linearly.
 
     A private point of hardly any parallax may answer with a step to behind a camera that observes
     it; such a point goes where its cameras carry it.
@@ -29,12 +28,9 @@ def follow(
         A shared point would be behind a camera that observes it.
 
     """
-    pose_steps, point_steps, lens_steps = found.steps(lin, shared_steps)
-    try:
-        return lin.moved(pose_steps, point_steps, lens_steps)
-    except InvalidValue:
-        carried = _carried(lin.bundle, shared_rows, pose_steps, point_steps)
-        return lin.moved(pose_steps, carried, lens_steps)
+    pose_steps, point_steps, lens_steps = steps
+    carried = _carried(lin.bundle, shared_rows, pose_steps, point_steps)
+    return lin.moved(pose_steps, carried, lens_steps)
 
 
 def behind(bundle: Bundle, pose_steps: Floats, point_steps: Floats) -> Ints:

@@ -70,7 +70,7 @@ def _follow(bundle: Bundle, rows: Ints, points_global: Floats) -> Bundle:
     found = eliminate(lin, rows)
     S_map_global = into_map(bundle, rows, found, points_global)
     shared_steps = S_map_global.apply(points_global) - bundle.points[rows]
-    return follow(lin, found, rows, shared_steps)
+    return follow(lin, rows, found.steps(lin, shared_steps))
 
 
 def _improved(bundle: Bundle, rows: Ints, cost: float) -> tuple[Bundle, float]:

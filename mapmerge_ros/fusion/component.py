@@ -168,9 +168,12 @@ class _Task:
             solution = solve(
                 self.submaps, association, self.links, self.noise, self.anchor, config, self.warm
             )
+        learnt: list[Uncertainty] = []
+        # What private landmarks are known to is not part of the inverse of the shared ones.
+        learn = learnt.append if solution.reduced is solution.cost else None
         with self.stopwatch.measure('test'):
             gauge = min(submap.gauge for submap in self.submaps)
-            verdict, examination, uncertainty = verify_merge(
+            verdict, examination = verify_merge(
                 [submap.map_id for submap in self.submaps],
                 solution.reduced,
                 solution.estimate,
@@ -180,9 +183,9 @@ class _Task:
                 self.noise,
                 self.config,
                 known,
+                learn,
             )
-        if solution.reduced is not solution.cost:
-            uncertainty = None  # it knows nothing of private landmarks
+        uncertainty = learnt[-1] if learnt else None
         return _State(association, solution, verdict, examination, taken_out, uncertainty)
 
     def without_what_is_off(self, state: _State) -> _State | None:

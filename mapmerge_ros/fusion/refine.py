@@ -139,8 +139,7 @@ def _advance(state: _State, fusion: Fusion) -> tuple[_State, _Taken]:
         except InvalidValue:  # the step takes a landmark behind a camera of some robot
             if before is None:
                 raise
-            share /= 2.0
-            continue
+            robots, cost = state.robots, np.inf
         if cost <= state.cost_px2:
             return _State(robots, points, cost), _Taken(before, points, share)
         share /= 2.0

@@ -81,9 +81,8 @@ def landmark_budget(submap: SubMap, config: FusionConfig) -> int:
 
 def _has_all(submaps: Sequence[SubMap], tracks: Tracks) -> bool:
     """Whether all that any two sub-maps have in common is compressed: then no choice is better."""
-    owners = np.zeros(tracks.count, np.int64)
-    for own in tracks.tracks:
-        owners[np.unique(own[own >= 0])] += 1
+    members = _membership([own[own >= 0] for own in tracks.tracks], tracks.count)
+    owners = np.asarray(members.sum(axis=0))
     return not any(
         (owners[listed[listed >= 0]] > 1).any()
         for submap, own in zip(submaps, tracks.tracks, strict=True)

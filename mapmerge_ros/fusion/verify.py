@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -102,7 +102,8 @@ def verify_merge(
     noise: Noise,
     config: FusionConfig,
     known: CovarianceModel | None = None,
-) -> tuple[Verdict, Examination | None, Uncertainty | None]:
+    learn: Callable[[Uncertainty], None] | None = None,
+) -> tuple[Verdict, Examination | None]:
     """
     Test a merge, with the errors that maps of real cameras have where the textbook refuses.
 
@@ -110,24 +111,22 @@ def verify_merge(
     stays accepted, with its own p-value, unless its landmarks are not Gaussian; what moved
     together is refused as long as it is merged. Where a model was needed, no sub-map may be
     much worse than it is for the others. `known` are the errors of these sub-maps, if something
-    has been taken out of their merge already. What is known of landmarks and frames comes along
-    where all of the inverse was needed.
+    has been taken out of their merge already. `learn` is told what is known of landmarks and
+    frames, where all of the inverse was needed.
     """
     textbook = verify(estimate.cost, dof, noise, config)
     if dof <= 0:
-        return textbook, None, None
+        return textbook, None
     redundancy = noise.estimated_from or np.inf
     large = is_large(reduced.segments.lengths, len(estimate.points))
     if large and textbook.p_value >= TESTED_FIRST:
-        return textbook, by_textbook(estimate.cost / noise.sigma**2, dof, redundancy), None
+        return textbook, by_textbook(estimate.cost / noise.sigma**2, dof, redundancy)
     certain = estimate.converged and is_certain(links, len(reduced))
-    learnt: list[Uncertainty] = []
     state = reduced.evaluate(estimate.points)
-    merge = near_optimum(reduced, state, gauge, noise.sigma, learnt.append)
+    merge = near_optimum(reduced, state, gauge, noise.sigma, learn)
     found = examine(merge, redundancy, certain=certain, known=known)
     verdict = _judged(textbook, found, config)
-    verdict = _unless_one_is_wrong(verdict, found, merge, map_ids, certain=certain)
-    return verdict, found, learnt[-1] if learnt else None
+    return _unless_one_is_wrong(verdict, found, merge, map_ids, certain=certain), found
 
 
 def _unless_one_is_wrong(
