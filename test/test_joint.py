@@ -19,10 +19,8 @@ from mapmerge_ros.fusion.informations import informations
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.joint.covariance import schur_complement, uncertainty
 from mapmerge_ros.fusion.joint.derivatives import gradient as gradient_of
-from mapmerge_ros.fusion.joint.dissection import dissect
 from mapmerge_ros.fusion.joint.factor import Carried
 from mapmerge_ros.fusion.joint.factorise import factorise
-from mapmerge_ros.fusion.joint.fronts import plan_fronts
 from mapmerge_ros.fusion.joint.minimise import gauss_newton, minimise, plan
 from mapmerge_ros.fusion.links import find_links
 from mapmerge_ros.fusion.merge import assemble, merge
@@ -137,35 +135,6 @@ def test_the_factor_that_is_kept_is_the_matrix_of_the_shared_landmarks(fleets, g
     np.testing.assert_allclose(solved, wanted, atol=0.02 * np.abs(wanted).max())
 
 
-def test_the_factor_solves_and_its_order_does_not_matter():
-    """Random elements on random maps: any tree, any landmarks last, gives the same answer."""
-    rng = np.random.default_rng(5)
-    count, maps = 40, 9
-    tracks = [np.sort(rng.choice(count, 12, replace=False)) for _ in range(maps)]
-    tracks[0] = np.union1d(tracks[0], np.setdiff1d(np.arange(count), np.concatenate(tracks)))
-    roots = [rng.normal(size=(3 * len(own) + 5, 3 * len(own))) for own in tracks]
-    dense = np.zeros((3 * count, 3 * count))
-    for own, root in zip(tracks, roots, strict=True):
-        at = (3 * own[:, None] + np.arange(3)).ravel()
-        dense[np.ix_(at, at)] += root.T @ root
-    right = rng.normal(size=(3 * count, 2))
-
-    def element(k, order, out):
-        at = coordinates(order)
-        out[...] = (roots[k].T @ roots[k])[np.ix_(at, at)]
-
-    owners = np.repeat(np.arange(maps), [len(own) for own in tracks])
-    for seed, last in ((1, None), (2, rng.random(count) < 0.4), (3, np.ones(count, bool))):
-        places = np.random.default_rng(seed).normal(size=(maps, 3))
-        tree = dissect(places, owners, np.concatenate(tracks))
-        assert sorted(tree.order) == list(range(maps))
-        factor = factorise(plan_fronts(tree, tracks, count, last), element)
-        np.testing.assert_allclose(factor.solve(right), np.linalg.solve(dense, right), atol=1e-9)
-        inverse = np.linalg.inv(dense)
-        for front, block in factor.inverse_blocks():
-            np.testing.assert_allclose(block, inverse[np.ix_(front.rows, front.rows)], atol=1e-9)
-
-
 def test_a_factor_kept_in_float32_still_is_one_of_a_positive_definite_matrix(fleets):
     """Kept in half the memory it answers alike, in the softest direction too."""
     submaps, association, _, cost = case(fleets, CASES[0])
@@ -193,17 +162,6 @@ def test_a_landmark_that_nothing_determines_is_said_so(fleets):
         blind.append(replace(root, packed=pack(r)))
     with pytest.raises(DegenerateGeometry):
         uncertainty(replace(cost, roots=tuple(blind)), state, Gauge.SIMILARITY, 0.5)
-
-
-def test_fronts_stay_small_on_a_grid_of_maps():
-    """Sixty-four maps in a row share with their neighbours only: no front outgrows three maps."""
-    maps = 64
-    tracks = [np.arange(10 * k, min(10 * k + 20, 10 * maps)) for k in range(maps)]
-    places = np.column_stack([np.arange(maps), np.zeros(maps), np.zeros(maps)])
-    owners = np.repeat(np.arange(maps), [len(own) for own in tracks])
-    fronts = plan_fronts(dissect(places, owners, np.concatenate(tracks)), tracks, 10 * maps)
-    assert max(len(front.rows) for front in fronts.fronts) <= 3 * 40
-    assert sum(front.eliminated for front in fronts.fronts) == fronts.size
 
 
 @pytest.mark.parametrize('gauge', GAUGES)

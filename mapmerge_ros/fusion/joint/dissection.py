@@ -3,8 +3,8 @@
 """
 Nested dissection of the map graph: a binary tree whose leaves are sub-maps.
 
-Maps are cut in two halves of equal number, across the direction that cuts the fewest links; the
-landmarks that both halves have are the separator (George 1973).
+Maps are cut in two across the direction, and near the middle at the place, where the fewest links
+are cut; the landmarks that both parts have are the separator (George 1973).
 """
 
 from __future__ import annotations
@@ -18,6 +18,14 @@ from mapmerge_ros.arrays import Floats, Ints
 
 DIRECTIONS = 8
 """Ways to cut that are compared, half a turn in all: a grid of maps may lie askew."""
+
+OFF_MIDDLE = 1.0 / 6.0
+"""
+Share of the maps by which a cut may miss their middle.
+
+Rows of a grid are not of equal length when they lie askew, and a cut along a row is the shortest:
+a fifth of the operations at 64 drones, an eighth at 1024, against cuts in equal halves.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,35 +51,54 @@ def dissect(places: Floats, maps: Ints, tracks: Ints) -> Tree:
     count = len(places)
     membership = scipy.sparse.csr_array((np.ones(len(maps)), (maps, tracks)))
     shared = scipy.sparse.triu(membership @ membership.T, 1).tocoo()
+    ends = np.stack([shared.row, shared.col])
     keys = (places - places.mean(axis=0)) @ _directions(places)
-    order = np.arange(count)
+    order, is_right = np.arange(count), np.zeros(count, bool)
+    places_of = np.empty(keys.shape, np.int64)
     spans: list[tuple[int, int, int]] = []
 
     def split(low: int, high: int, links: Ints) -> None:
         if high - low == 1:
             spans.append((low, low, high))
             return
-        middle = (low + high) // 2
         own = order[low:high]
-        side = np.zeros(count, bool)
-        best, fewest = own, np.inf
-        for key in keys.T if len(own) > 2 else keys.T[:1]:
-            ranked = own[np.argsort(key[own], kind='stable')]
-            side[own], side[ranked[middle - low :]] = False, True
-            cut = side[shared.row[links]] != side[shared.col[links]]
-            weight = float(shared.data[links][cut].sum())
-            if weight < fewest:
-                best, fewest = ranked, weight
-        order[low:high] = best
-        side[own], side[best[middle - low :]] = False, True
-        right = side[shared.row[links]]
-        within = right == side[shared.col[links]]
-        split(low, middle, links[within & ~right])
-        split(middle, high, links[within & right])
+        ranked = own[np.argsort(keys[own], axis=0, kind='stable')]
+        places_of[ranked, range(keys.shape[1])] = np.arange(len(own))[:, None]
+        joined = ends[:, links]
+        direction, left = 0, 1
+        if len(own) > 2:
+            direction, left = _cut(places_of[joined], shared.data[links], len(own))
+        middle = low + left
+        order[low:high] = ranked[:, direction]
+        is_right[order[low:middle]], is_right[order[middle:high]] = False, True
+        first, second = is_right[joined]
+        split(low, middle, links[~(first | second)])
+        split(middle, high, links[first & second])
         spans.append((low, middle, high))
 
     split(0, count, np.arange(len(shared.data)))
     return Tree(order, tuple(spans))
+
+
+def _cut(places: Ints, weights: Floats, count: int) -> tuple[int, int]:
+    """
+    Direction of the best cut of `count` maps, and how many of them are left of it.
+
+    Links of these weights (links,) go from places[0] to places[1] (links, d) along each direction.
+    Equal parts are worth something: a cut counts in proportion to all pairs of maps that it parts.
+    """
+    directions = places.shape[2]
+    at = count * np.arange(directions)
+    start, stop = np.minimum(*places) + at, np.maximum(*places) + at
+    each = np.repeat(weights, directions)
+    opened, closed = (np.bincount(end.ravel(), each, count * directions) for end in (start, stop))
+    cut = np.cumsum((opened - closed).reshape(directions, count), axis=1)
+    off = int(OFF_MIDDLE * count) if count > 3 else 0
+    left = np.arange(count // 2 - off, count - count // 2 + off + 1)
+    # One more: where nothing is cut, the middle is best.
+    ratios = (1.0 + cut[:, left - 1]) / (left * (count - left))
+    direction, k = np.unravel_index(np.argmin(ratios), ratios.shape)
+    return int(direction), int(left[k])
 
 
 def _directions(places: Floats) -> Floats:

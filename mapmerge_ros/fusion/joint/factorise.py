@@ -28,6 +28,9 @@ The target (3s, 3s) is in Fortran order; what is above its diagonal does not mat
 """
 
 
+SMALL = 64
+"""Size up to which a triangle is inverted as a whole."""
+
 STRIP = 128
 """Columns that are cleared at a time: what is above the diagonal need not be."""
 
@@ -122,11 +125,35 @@ def _eliminate(pivot: Floats, below: Floats, rest: Floats) -> None:
     """In place: pivot becomes L⁻¹, below M, rest what is left."""
     if not len(pivot):
         return
-    _, failed = dpotrf(pivot, lower=1, clean=1, overwrite_a=1)
-    if failed or not np.isfinite(np.diag(pivot)).all():
-        raise np.linalg.LinAlgError('a front is not positive definite')
-    # A product with the inverse is three times as fast as a triangular solve, here and later.
-    dtrtri(pivot, lower=1, overwrite_c=1)
+    _invert(pivot)
     if len(below):
+        # A product with the inverse is three times as fast as a triangular solve, here and later.
         dtrmm(1.0, pivot, below, side=1, lower=1, trans_a=1, overwrite_b=1)
         dsyrk(-1.0, below, beta=1.0, c=rest, lower=1, overwrite_c=1)
+
+
+def _invert(matrix: Floats) -> None:
+    """
+    Inverse of the Cholesky factor of a matrix (k, k), in its place; zero above the diagonal.
+
+    By halves, since LAPACK's inverse of a small triangle is slow: [A; B C] becomes
+    [A⁻¹; -C⁻¹B A⁻¹, C⁻¹].
+    """
+    if len(matrix) <= SMALL:
+        _, failed = dpotrf(matrix, lower=1, clean=1, overwrite_a=1)
+        if failed or not np.isfinite(np.diag(matrix)).all():
+            raise np.linalg.LinAlgError('a front is not positive definite')
+        dtrtri(matrix, lower=1, overwrite_c=1)
+        return
+    half = len(matrix) // 2
+    first = matrix[:half, :half].copy(order='F')
+    lower = matrix[half:, :half].copy(order='F')
+    second = matrix[half:, half:].copy(order='F')
+    _invert(first)
+    dtrmm(1.0, first, lower, side=1, lower=1, trans_a=1, overwrite_b=1)
+    dsyrk(-1.0, lower, beta=1.0, c=second, lower=1, overwrite_c=1)
+    _invert(second)
+    dtrmm(-1.0, second, lower, lower=1, overwrite_b=1)
+    dtrmm(1.0, first, lower, side=1, lower=1, overwrite_b=1)
+    matrix[:half, :half], matrix[half:, half:] = first, second
+    matrix[half:, :half], matrix[:half, half:] = lower, 0.0

@@ -210,14 +210,15 @@ def _lowest_above(
 
 def _runs(rows: Ints, eliminated: int) -> tuple[Run, ...]:
     """Landmark rows (ascending) as runs of coordinates, cut where elimination ends."""
-    breaks = np.flatnonzero((np.diff(rows) != 1) | (rows[1:] == eliminated)) + 1
-    starts = np.concatenate([[0], breaks])
-    stops = np.concatenate([breaks, [len(rows)]])
     if not len(rows):
         return ()
+    breaks = np.flatnonzero((rows[1:] != rows[:-1] + 1) | (rows[1:] == eliminated)) + 1
+    starts = [0, *breaks.tolist()]
+    stops = [*starts[1:], len(rows)]
+    places = rows[starts].tolist()
     return tuple(
-        (3 * int(start), 3 * int(stop), 3 * int(rows[start]))
-        for start, stop in zip(starts, stops, strict=True)
+        (3 * start, 3 * stop, 3 * place)
+        for start, stop, place in zip(starts, stops, places, strict=True)
     )
 
 
