@@ -4,8 +4,10 @@
 How good a merge of chosen landmarks is: the landmarks, the frames, and everything else.
 
 Each after one similarity of its own. The merged landmarks are what goes out, so those that are
-better determined look better whatever they do for the maps. The frames are free of that, and of
-what each robot has done wrong by itself: only the choice can change them.
+better determined look better whatever they do for the maps, and those that lie together better
+than those that are spread over all that is common, as a bend is seen from end to end only. The
+frames are free of that, and of what each robot has done wrong by itself: only the choice can
+change them.
 """
 
 from __future__ import annotations
@@ -32,8 +34,12 @@ COLUMNS = (
     'points, median',
     'points, RMS of 90 %',
     'cameras, RMS',
+    'spread of landmarks',
 )
 """What `errors` returns."""
+
+SPREAD = COLUMNS.index('spread of landmarks')
+"""No error: the median distance of the merged landmarks from their middle, in the truth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +99,7 @@ def merge(robots: Robots, chosen: Sequence[Ids]) -> tuple[Placed, Placed] | None
 
 
 def errors(robots: Robots, found: Placed, right: Placed) -> Floats:
-    """Distances of what was found from where it should be, as COLUMNS says."""
+    """Distances of what was found from where it should be, and of landmarks, as COLUMNS says."""
     landmarks = np.sort(_distances(right.landmarks, found.landmarks))
     points = np.sort(_distances(right.points, found.points))
     S_right_found = align(right.centres, found.centres).S_target_source
@@ -106,6 +112,7 @@ def errors(robots: Robots, found: Placed, right: Placed) -> Floats:
             np.median(points),
             _root_mean_square(points[: int(NEAREST * len(points))]),
             _root_mean_square(np.linalg.norm(cameras, axis=1)),
+            np.median(_from_middle(right.landmarks)),
         ]
     )
 
@@ -140,8 +147,12 @@ def _right_landmarks(robots: Robots, landmarks: Landmarks) -> Floats:
     return np.asarray(total / np.bincount(landmarks.member_rows, minlength=len(total))[:, None])
 
 
+def _from_middle(points: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(points - np.median(points, axis=0), axis=1))
+
+
 def _nearest(points: Floats) -> Floats:
-    distances = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    distances = _from_middle(points)
     return points[distances <= np.quantile(distances, NEAREST)]
 
 

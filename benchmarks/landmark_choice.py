@@ -55,7 +55,7 @@ BEGIN, END = '<!-- choice -->\n', '<!-- end of choice -->'
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Errors (6,) of one choice, of the median lot, and of the merge of everything."""
+    """Errors (7,) of one choice, of the median lot, and of the merge of everything."""
 
     chosen: Floats
     lot: Floats
@@ -88,7 +88,7 @@ def by_own_lot(bundles: Sequence[Bundle], budget: int, rng: np.random.Generator)
 
 
 def error_of(robots: Robots, chosen: Sequence[Ids]) -> Floats | None:
-    """Errors (6,) of a choice; None where it does not bring all robots together."""
+    """Errors (7,) of a choice; None where it does not bring all robots together."""
     both = merge(robots, chosen)
     return None if both is None else errors(robots, *both)
 
@@ -128,7 +128,7 @@ def generators(budget: int, draws: int) -> list[np.random.Generator]:
 
 
 def pooled(one_budget: Sequence[Compared]) -> tuple[Floats, float]:
-    """Ratios (6,) of the choice to the lot, and of everything's frames, over all seeds."""
+    """Ratios (7,) of the choice to the lot, and of everything's frames, over all seeds."""
     sizes = [
         np.sqrt(np.mean(np.square([getattr(each, name) for each in one_budget]), axis=0))
         for name in ('chosen', 'everything', 'lot')
@@ -164,7 +164,7 @@ def main(argv: list[str] | None = None) -> int:
     """Print the table, and write it into a document when asked."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('data', type=Path, help='folder with one folder per data set')
-    parser.add_argument('--draws', type=int, default=9)
+    parser.add_argument('--draws', type=int, default=25)
     parser.add_argument('--seeds', type=int, default=4, help='of each simulated fleet')
     parser.add_argument('--markdown', type=Path, help='document whose table is replaced')
     args = parser.parse_args(argv)

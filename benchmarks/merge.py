@@ -13,10 +13,8 @@ other; medians of CPU seconds. The first run of all makes the workloads (S5: som
 from __future__ import annotations
 
 import argparse
-import gc
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -25,12 +23,10 @@ from merge_compression import compression
 from merge_kinds import KINDS
 from merge_steps import Values
 from merge_tables import draw, tables
+from own_process import THREADS, memory_growth, run_apart
 from workloads import DRONES, Workload, cached, workload
 
-from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion import fuse
-
-THREADS = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
 
 MARK = '<!-- tables of benchmarks/merge.py -->\n'
 
@@ -45,37 +41,20 @@ ONCE = {('bundle', 'S3'), ('bundle', 'S4'), ('known', 'S5'), ('local', 'S4')}
 """What takes minutes is measured once."""
 
 
-def _resident_mb(entry: str) -> float:
-    """Memory of this process: VmRSS, or VmHWM (peak)."""
-    for line in Path('/proc/self/status').read_text().splitlines():
-        if line.startswith(entry):
-            return int(line.split()[1]) / 1024.0
-    raise MapMergeError('the memory of a process is read from /proc: this runs on Linux only')
-
-
 def run(kind: str, name: str, folder: Path, repeats: int) -> Values:
     """Measure in this process; memory is the growth of its peak, data included."""
     fuse(cached('S1', folder).submaps[:2])  # libraries are loaded and warm
-    gc.collect()
-    Path('/proc/self/clear_refs').write_text('5')  # the peak so far is forgotten
-    before = _resident_mb('VmRSS')
-    load = cached(name, folder, bundles=kind in ('bundle', 'accuracy'))
-    values = KINDS[kind](load, repeats)
-    peak = _resident_mb('VmHWM')
-    return {**values, 'growth_mb': peak - before, 'peak_mb': peak}
+    with memory_growth() as memory:
+        load = cached(name, folder, bundles=kind in ('bundle', 'accuracy'))
+        values = KINDS[kind](load, repeats)
+    return {**values, **memory}
 
 
 def measure(kind: str, name: str, folder: Path, repeats: int) -> Values:
     """One kind of measurement in a process of its own."""
     repeats = 1 if (kind, name) in ONCE else repeats
-    command = [sys.executable, __file__, '--run', kind, '--sizes', name]
-    command += ['--cache', str(folder), '--repeats', str(repeats)]
-    done = subprocess.run(
-        command, env={**os.environ, **THREADS}, capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        raise MapMergeError(f'{kind} of {name} failed: {done.stderr.strip()[-2000:]}')
-    return dict(json.loads(done.stdout.splitlines()[-1]))
+    arguments = ['--run', kind, '--sizes', name, '--cache', str(folder)]
+    return run_apart(__file__, *arguments, '--repeats', str(repeats))
 
 
 def quick(load: Workload | None = None) -> dict[str, Values]:

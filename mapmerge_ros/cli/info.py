@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from itertools import combinations
 from pathlib import Path
 
+import scipy.sparse
 from rich.table import Table
 
 from mapmerge_ros.association import associate
@@ -95,11 +95,11 @@ def shared_pairs(submaps: Sequence[SubMap]) -> tuple[Pair, ...]:
     """Pairs with compressed landmarks of equal id in one id space, strongest first."""
     if not submaps:
         return ()
-    counts = associate_by_id(submaps).shared_counts()
+    shared = scipy.sparse.triu(associate_by_id(submaps).shared_counts(), 1, format='csr')
+    counts = shared.sorted_indices().tocoo()
     pairs = [
-        Pair(submaps[a].map_id, submaps[b].map_id, int(counts[a, b]))
-        for a, b in combinations(range(len(submaps)), 2)
-        if counts[a, b]
+        Pair(submaps[a].map_id, submaps[b].map_id, int(count))
+        for a, b, count in zip(counts.row, counts.col, counts.data, strict=True)
     ]
     return tuple(sorted(pairs, key=lambda pair: -pair.shared))
 

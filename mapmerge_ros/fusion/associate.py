@@ -35,7 +35,7 @@ class Association:
         """(count,) sub-maps in which each track has a member."""
         return np.bincount(np.concatenate(self.tracks), minlength=self.count)
 
-    def shared_counts(self) -> Ints:
+    def shared_counts(self) -> scipy.sparse.csr_array:
         """(maps, maps) number of tracks common to two sub-maps, their own size on the diagonal."""
         lengths = [len(track) for track in self.tracks]
         rows = np.repeat(np.arange(len(self.tracks)), lengths)
@@ -43,7 +43,7 @@ class Association:
         membership = scipy.sparse.csr_array(
             (np.ones(len(rows), np.int64), (rows, columns)), shape=(len(lengths), self.count)
         )
-        return np.asarray((membership @ membership.T).toarray())
+        return membership @ membership.T
 
     def restricted(self, maps: Sequence[int]) -> Association:
         """Return the tracks of some sub-maps only, renumbered without gaps."""

@@ -11,6 +11,7 @@ it brings the common landmarks of all maps closest to a chosen one.
 from __future__ import annotations
 
 import heapq
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,7 +21,8 @@ import scipy.sparse.csgraph
 from mapmerge_ros.arrays import Ids, Ints, Mask
 from mapmerge_ros.fusion.catalogues import Tracks
 from mapmerge_ros.fusion.common import Common, find_common
-from mapmerge_ros.fusion.coverage import Coverage, mean_sureness
+from mapmerge_ros.fusion.coverage import Coverage
+from mapmerge_ros.fusion.members import grouped, pairs_of_members
 from mapmerge_ros.submap import SubMap
 
 ENOUGH = 8
@@ -53,6 +55,41 @@ def choose_landmarks(
     return tuple(chosen)
 
 
+class _Links:
+    """Pairs of sub-maps that have enough in common, and the members that they share."""
+
+    def __init__(self, common: Common, min_shared: int) -> None:
+        first, second = pairs_of_members(common.maps, common.tracks)
+        keys = common.maps[first] * len(common.submaps) + common.maps[second]
+        unique, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
+        enough = counts >= min_shared
+        first, second = first[enough[inverse]], second[enough[inverse]]
+        self.a, self.b = np.divmod(unique[enough], max(1, len(common.submaps)))
+        self.counts = counts[enough]
+        """(links,) tracks in common"""
+        self._ends = np.concatenate([[0], np.cumsum(self.counts)])
+        self.first, self.second = first, second
+        """(pairs,) members of one track, link after link"""
+        order, self._partner_ends = grouped(np.concatenate([first, second]), len(common.maps))
+        self._partners = np.concatenate([second, first])[order]
+
+    def members(self, link: int) -> tuple[Ints, Ints]:
+        """Members of what the two maps of a link have in common, by track."""
+        rows = slice(int(self._ends[link]), int(self._ends[link + 1]))
+        return self.first[rows], self.second[rows]
+
+    def partners(self, member: int) -> Ints:
+        """Members of the same track in maps that are linked with that of this one."""
+        return self._partners[self._partner_ends[member] : self._partner_ends[member + 1]]
+
+    def touched(self, chosen: Mask) -> Mask:
+        """Which members (members,) have a chosen partner."""
+        touched = np.zeros(len(chosen), bool)
+        touched[self.first[chosen[self.second]]] = True
+        touched[self.second[chosen[self.first]]] = True
+        return touched
+
+
 class _Selection:
     """
     The state of one choice.
@@ -62,79 +99,111 @@ class _Selection:
     """
 
     def __init__(self, common: Common, room: Ints, min_shared: int) -> None:
-        self._common = common
+        self._common, self._links = common, _Links(common, min_shared)
         self._coverage = Coverage(common)
-        self._worth = common.worth * mean_sureness(common)
-        counts = _pair_counts(common.owners)
-        self._counts = np.where(counts >= min_shared, counts, 0)
-        self._linked = self._counts > 0
-        self._owners = common.owners & ((self._linked.astype(np.int64) @ common.owners) > 0)
+        self._worth = common.worth * common.mean_sureness()
+        self._owned = self._links.touched(np.ones(len(common.maps), bool))
+        """Members with a partner in a map that is linked"""
+        owned = np.flatnonzero(self._owned)
+        order, self._track_ends = grouped(common.tracks[owned], common.count)
+        self._by_track = owned[order]
+        self._maps: list[int] = common.maps.tolist()
         self._room = np.maximum(room, 0)
-        self._taken = np.zeros_like(self._owners)
-        self._urgency = np.full(self._owners.shape, np.inf)
+        self._taken = np.zeros(len(common.maps), bool)
+        self._urgency = np.full(len(common.maps), np.inf)
         """When each was taken"""
-        self._need = np.zeros_like(counts)
+        self._need: list[dict[int, int]] = [{} for _ in common.submaps]
+        """Per map what each of its pairs in the forest still needs"""
 
     def run(self) -> list[Ints]:
-        """Tracks chosen per sub-map, most wanted first."""
-        self._set_needs()
-        pairs = np.argwhere(np.triu(self._need) > 0)
-        for a, b in sorted(pairs, key=lambda pair: (self._counts[tuple(pair)], *pair)):
-            self._serve(int(a), int(b))
+        """Members chosen per sub-map, most wanted first."""
+        served = self._set_needs()
+        for link in served[np.argsort(self._links.counts[served], kind='stable')]:
+            self._serve(int(link))
         self._cover()
         self._join()
-        return [
-            np.lexsort((np.arange(len(row)), -self._common.worth, row))[: taken.sum()]
-            for row, taken in zip(self._urgency, self._taken, strict=True)
-        ]
+        common = self._common
+        worth = common.worth[common.tracks]
+        order = np.lexsort((common.tracks, -worth, self._urgency, common.maps))
+        chosen = order[self._taken[order]]
+        return np.split(chosen, np.searchsorted(common.maps[chosen], range(1, len(self._room))))
 
-    def _set_needs(self) -> None:
-        """Divide the room among the pairs of the forest, as far as it takes to hold them."""
-        tree = scipy.sparse.csgraph.minimum_spanning_tree(-self._counts).toarray() < 0.0
-        forest = tree | tree.T
-        share = self._room // np.maximum(forest.sum(axis=1), 1)
+    def _set_needs(self) -> Ints:
+        """Divide the room among the links of the forest, as far as it takes to hold them."""
+        links, maps = self._links, len(self._room)
+        both = np.concatenate([links.a, links.b]), np.concatenate([links.b, links.a])
+        graph = scipy.sparse.csr_array((-np.tile(links.counts, 2), both), shape=(maps, maps))
+        graph.sort_indices()
+        tree = scipy.sparse.csgraph.minimum_spanning_tree(graph).tocoo()
+        low, high = np.minimum(tree.row, tree.col), np.maximum(tree.row, tree.col)
+        served = np.searchsorted(links.a * maps + links.b, np.sort(low * maps + high))
+        share = self._room // np.maximum(np.bincount(np.concatenate([low, high]), None, maps), 1)
         share = np.minimum(np.maximum(share, self._room > 0), ENOUGH)
-        self._need = np.where(forest, np.minimum(np.minimum.outer(share, share), self._counts), 0)
+        for a, b, count in zip(
+            links.a[served], links.b[served], links.counts[served], strict=True
+        ):
+            need = int(min(share[a], share[b], count))
+            if need:
+                self._need[a][int(b)] = self._need[b][int(a)] = need
+        return np.asarray(served)
 
-    def _serve(self, a: int, b: int) -> None:
+    def _serve(self, link: int) -> None:
         """Give a pair what it needs, the best first."""
-        shared = np.flatnonzero(self._owners[a] & self._owners[b])
-        need = int(self._need[a, b])
-        while self._need[a, b] > 0:
-            free = ~(self._taken[a, shared] & self._taken[b, shared])
-            for k in (a, b):
+        a, b = int(self._links.a[link]), int(self._links.b[link])
+        members = self._links.members(link)
+        worth = self._worth[self._common.tracks[members[0]]]
+        need = self._need[a].get(b, 0)
+        while self._need[a].get(b, 0) > 0:
+            free = ~(self._taken[members[0]] & self._taken[members[1]])
+            for k, own in zip((a, b), members, strict=True):
                 if not self._room[k]:  # only what is taken already can serve the pair
-                    free &= self._taken[k, shared]
+                    free &= self._taken[own]
             if not free.any():
                 return
-            gains = (self._coverage.gains(a) + self._coverage.gains(b))[shared]
-            best = shared[np.argmax(np.where(free, gains * self._worth[shared], -1.0))]
-            self._take_for(int(best), a, b, 1.0 - self._need[a, b] / need)
+            gains = self._coverage.gains(a, members[0]) + self._coverage.gains(b, members[1])
+            best = int(np.argmax(np.where(free, gains * worth, -1.0)))
+            urgency = 1.0 - self._need[a][b] / need
+            self._take_for(int(members[0][best]), int(members[1][best]), urgency)
 
-    def _take_for(self, track: int, a: int, b: int, urgency: float) -> None:
-        """Take a track in a and b, and wherever that leaves room for what pairs need."""
-        takers = self._taken[:, track].copy()
-        takers[[a, b]] = True
-        for c in np.flatnonzero(self._owners[:, track] & ~takers & (self._room > 0)):
-            is_needed = bool((self._need[c, takers] > 0).any())
-            takers[c] = is_needed or self._is_free(int(c), takers)
-        new = takers & ~self._taken[:, track]
-        self._take(track, new, urgency)
-        members = np.flatnonzero(takers)
-        block = np.ix_(members, members)
-        self._need[block] = np.maximum(self._need[block] - (new[members, None] | new[members]), 0)
+    def _take_for(self, first: int, second: int, urgency: float) -> None:
+        """Take a track in two maps, and wherever that leaves room for what pairs need."""
+        maps = self._maps
+        members = self._members_of(int(self._common.tracks[first]))
+        takers = [m for m in members if self._taken[m] or m in (first, second)]
+        for member in members:
+            k = maps[member]
+            if member not in takers and self._room[k] > 0:
+                is_needed = any(self._need[k].get(maps[other], 0) for other in takers)
+                if is_needed or self._is_free(member, takers):
+                    takers.append(member)
+        new = [member for member in takers if not self._taken[member]]
+        self._take(new, urgency)
+        for member in new:
+            k = maps[member]
+            for other in takers:
+                partner = maps[other]
+                # Between two that are new, the pair is met twice, from either side.
+                if self._need[k].get(partner, 0) and not (other in new and partner < k):
+                    self._need[k][partner] -= 1
+                    self._need[partner][k] -= 1
 
-    def _is_free(self, k: int, takers: Mask) -> bool:
+    def _is_free(self, member: int, takers: list[int]) -> bool:
         """Whether a sub-map has more room than its pairs need, and is linked to who takes it."""
-        is_linked = bool(self._linked[k, takers].any())
-        return is_linked and bool(self._room[k] > self._need[k].sum())
+        k = self._maps[member]
+        is_linked = not set(takers).isdisjoint(self._links.partners(member).tolist())
+        return is_linked and bool(self._room[k] > sum(self._need[k].values()))
 
-    def _take(self, track: int, new: Mask, urgency: float) -> None:
-        self._taken[new, track] = True
-        self._urgency[new, track] = urgency
-        self._room[new] -= 1
-        for k in np.flatnonzero(new):
-            self._coverage.take(int(k), track)
+    def _members_of(self, track: int) -> list[int]:
+        """Owned members of a track, by sub-map."""
+        members = self._by_track[self._track_ends[track] : self._track_ends[track + 1]]
+        return list(members.tolist())
+
+    def _take(self, new: list[int], urgency: float) -> None:
+        self._taken[new] = True
+        self._urgency[new] = urgency
+        self._room[self._common.maps[new]] -= 1
+        for member in new:
+            self._coverage.take(member)
 
     def _cover(self) -> None:
         """Take what gains most for its place, again and again; gains only fall on the way."""
@@ -143,60 +212,68 @@ class _Selection:
         while queue:
             _, track = heapq.heappop(queue)
             new = self._takers(track)
-            present = -self._value(track, new)
-            if not new.any():
+            if not new:
                 continue
+            present = -self._value(track, new)
             if queue and present > queue[0][0]:
                 heapq.heappush(queue, (present, track))
                 continue
-            self._take(track, new, turn)
+            self._take(new, turn)
             turn += 1.0
-            if not self._room[new].all():  # without the map that is full, others may gain more
-                queue = self._queue()
+            for k in self._common.maps[new]:
+                if not self._room[k]:
+                    self._renew(queue, int(k))
 
     def _queue(self) -> list[tuple[float, int]]:
         """Every track that could still be taken, as a heap of negative values."""
-        new = self._owners & ~self._taken & (self._room > 0)[:, None]
-        new &= (self._linked.astype(np.int64) @ (self._taken | new)) > 0
-        gains = np.array([self._coverage.gains(k) for k in range(len(new))])
-        open_ = np.flatnonzero(new.any(axis=0))
-        values = np.where(new, gains, 0.0).sum(axis=0)[open_] / new.sum(axis=0)[open_]
-        found = list(zip((-values * self._worth[open_]).tolist(), open_.tolist(), strict=True))
+        new = self._owned & ~self._taken & (self._room > 0)[self._common.maps]
+        new &= self._links.touched(self._taken | new)
+        gains = np.zeros(len(new))
+        for k in range(len(self._room)):
+            own = self._common.members(k)
+            members = own.start + np.flatnonzero(new[own])
+            gains[members] = self._coverage.gains(k, members)
+        tracks, count = self._common.tracks[new], self._common.count
+        takers = np.bincount(tracks, minlength=count)
+        open_ = np.flatnonzero(takers)
+        values = np.bincount(tracks, gains[new], count)[open_] / takers[open_] * self._worth[open_]
+        found = list(zip((-values).tolist(), open_.tolist(), strict=True))
         heapq.heapify(found)
         return found
 
-    def _takers(self, track: int) -> Mask:
-        """Sub-maps that would take a track: with room, and linked to another that has it then."""
-        taken = self._taken[:, track]
-        new = self._owners[:, track] & ~taken & (self._room > 0)
-        new &= self._linked[:, taken | new].any(axis=1)
-        return np.asarray(new)
+    def _renew(self, queue: list[tuple[float, int]], full: int) -> None:
+        """Without the map that is full, others may gain more from what they share with it."""
+        for track in self._common.tracks[self._common.members(full)].tolist():
+            new = self._takers(track)
+            if new:
+                heapq.heappush(queue, (-self._value(track, new), track))
 
-    def _value(self, track: int, new: Mask) -> float:
+    def _takers(self, track: int) -> list[int]:
+        """Members that would be taken: with room, and linked to another that is taken then."""
+        members = self._members_of(track)
+        taken = [self._taken[member] for member in members]
+        new = [
+            member
+            for member, is_taken in zip(members, taken, strict=True)
+            if not is_taken and self._room[self._maps[member]] > 0
+        ]
+        active = {*new, *itertools.compress(members, taken)}
+        return [m for m in new if not active.isdisjoint(self._links.partners(m).tolist())]
+
+    def _value(self, track: int, new: list[int]) -> float:
         """What a track gains in the mean over those that would take it."""
-        if not new.any():
-            return 0.0
-        gains = [self._coverage.gain(int(k), track) for k in np.flatnonzero(new)]
-        return sum(gains) / len(gains) * float(self._worth[track])
+        gains = sum(self._coverage.gain(member) for member in new)
+        return gains / len(new) * float(self._worth[track])
 
     def _join(self) -> None:
         """Fill the room that is left with what partners have taken anyway."""
-        takers = self._taken.sum(axis=0)
+        common = self._common
+        takers = np.bincount(common.tracks, self._taken, common.count)
+        free = self._owned & ~self._taken & self._links.touched(self._taken)
         for k in np.flatnonzero(self._room > 0):
-            partners = self._taken[self._linked[k]].any(axis=0)
-            free = np.flatnonzero(self._owners[k] & ~self._taken[k] & partners)
-            rank = np.lexsort((free, -self._common.worth[free], -takers[free]))
-            joined = free[rank[: self._room[k]]]
-            self._urgency[k, joined] = len(takers) + 1.0
+            own = common.ends[k] + np.flatnonzero(free[common.members(int(k))])
+            tracks = common.tracks[own]
+            rank = np.lexsort((tracks, -common.worth[tracks], -takers[tracks]))
+            joined = own[rank[: self._room[k]]]
+            self._urgency[joined] = common.count + 1.0
         self._taken |= np.isfinite(self._urgency)
-
-
-def _pair_counts(owned: Mask) -> Ints:
-    """(maps, maps) tracks common to two sub-maps, zero on the diagonal."""
-    rows, columns = np.nonzero(owned)
-    members = scipy.sparse.csr_array(
-        (np.ones(len(rows), np.int64), (rows, columns)), shape=(len(owned), owned.shape[1])
-    )
-    counts = np.asarray((members @ members.T).toarray())
-    np.fill_diagonal(counts, 0)
-    return counts

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -214,8 +215,10 @@ class _Task:
         return replace(state, verdict=verdict, examination=None)
 
     def _connected(self, association: Association) -> bool:
-        counts = association.shared_counts()
-        left = [link for link in self.links if counts[link.a, link.b] >= self.config.min_shared]
+        pairs = [link.a for link in self.links], [link.b for link in self.links]
+        counts = association.shared_counts()[pairs]
+        enough = (counts >= self.config.min_shared).tolist()
+        left = list(itertools.compress(self.links, enough))
         return len(components(len(self.submaps), left)) == 1
 
 

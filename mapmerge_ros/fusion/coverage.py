@@ -11,7 +11,6 @@ those farthest from each other would be at the rim, where maps are bent and view
 from __future__ import annotations
 
 import numpy as np
-import scipy.spatial.distance
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.common import Common
@@ -19,56 +18,64 @@ from mapmerge_ros.fusion.common import Common
 JUDGES = 200
 """Common landmarks of a map whose distances are judged; 500 gave no better choice."""
 
+DIGITS = 9
+"""Of a gain, so that rounding, which depends on the frame of a map, decides nothing."""
+
 
 class Coverage:
-    """Square distances to what is chosen, in units of each map's own extent, squared."""
+    """
+    Square distances to what is chosen, in units of each map's own extent, squared.
+
+    Distances are made when they are asked for: kept, they would be most of what a choice needs.
+    |j - p|² is the product of (-2j, |j|², 1) and (p, 1, |p|²).
+    """
 
     def __init__(self, common: Common) -> None:
-        self._places: Ints = np.full(common.rows.shape, -1)
-        self._distances: list[Floats] = []
-        """Per map (tracks of it, judges)"""
-        self._gaps: list[Floats] = []
-        """Per map (judges,)"""
-        for submap, rows, places in zip(common.submaps, common.rows, self._places, strict=True):
-            own = np.flatnonzero(rows >= 0)
-            places[own] = np.arange(len(own))
-            distances = _square_distances(submap.points[rows[own]])
-            self._distances.append(distances)
+        self._maps, self._starts = common.maps.tolist(), common.ends.tolist()
+        self._points, self._judges, self._gaps = list[Floats](), list[Floats](), list[Floats]()
+        for k, submap in enumerate(common.submaps):
+            points = _in_extents(submap.points[common.rows[common.members(k)]])
+            squares, ones = np.sum(points**2, axis=1), np.ones(len(points))
+            every = slice(None, None, _every(len(points)))
+            self._points.append(np.column_stack([points, ones, squares]))
+            self._judges.append(np.column_stack([-2.0 * points, squares, ones])[every])
             # Nothing chosen is worse than any landmark.
-            self._gaps.append(np.full(distances.shape[1], 2.0 * distances.max(initial=0.0)))
+            farthest = (self._points[k] @ self._judges[k].T).max(initial=0.0)
+            self._gaps.append(np.full(len(self._judges[k]), 2.0 * farthest))
 
-    def gain(self, k: int, track: int) -> float:
-        """By how much one more landmark lowers the mean of a map."""
-        left = self._gaps[k] - self._distances[k][self._places[k, track]]
-        return float(np.add.reduce(np.maximum(left, 0.0, out=left))) / len(left)
+    def gain(self, member: int) -> float:
+        """By how much one more landmark lowers the mean of its map."""
+        k = self._maps[member]
+        left = self._gaps[k] - self._distances(member)
+        return round(float(np.add.reduce(np.maximum(left, 0.0, out=left))) / len(left), DIGITS)
 
-    def gains(self, k: int) -> Floats:
-        """Gain of every track (tracks,) in a map; 0 where it has none."""
-        found = np.zeros(self._places.shape[1])
-        if self._gaps[k].size:
-            left = np.maximum(self._gaps[k] - self._distances[k], 0.0)
-            found[self._places[k] >= 0] = left.mean(axis=1)
-        return found
+    def gains(self, k: int, members: Ints) -> Floats:
+        """Gains (n,) of members of the k-th map."""
+        distances = self._points[k][members - self._starts[k]] @ self._judges[k].T
+        left = self._gaps[k] - distances
+        means: Floats = np.maximum(left, 0.0, out=left).sum(axis=1) / max(1, left.shape[1])
+        return np.round(means, DIGITS)
 
-    def take(self, k: int, track: int) -> None:
-        """Choose a landmark in a map."""
-        np.minimum(self._gaps[k], self._distances[k][self._places[k, track]], out=self._gaps[k])
+    def take(self, member: int) -> None:
+        """Choose a landmark."""
+        k = self._maps[member]
+        np.minimum(self._gaps[k], self._distances(member), out=self._gaps[k])
+
+    def _distances(self, member: int) -> Floats:
+        k = self._maps[member]
+        distances: Floats = self._judges[k] @ self._points[k][member - self._starts[k]]
+        return distances
 
 
-def _square_distances(points: Floats) -> Floats:
-    judges = points[:: max(1, -(-len(points) // JUDGES))]
+def _in_extents(points: Floats) -> Floats:
+    """Points (n, 3) about their middle, in units of the extent of those that judge."""
     if not len(points):
-        return np.zeros((0, 0))
-    squares = scipy.spatial.distance.cdist(points, judges, 'sqeuclidean')
-    extent = float(np.sum(np.var(judges, axis=0))) or 1.0
-    return np.asarray(squares / extent, np.float32)
+        return points
+    judges = points[:: _every(len(points))]
+    extent = float(np.sqrt(np.sum(np.var(judges, axis=0)))) or 1.0
+    return np.asarray((points - judges.mean(axis=0)) / extent)
 
 
-def mean_sureness(common: Common) -> Floats:
-    """(tracks,) geometric mean of how well the members are determined."""
-    logs, counts = np.zeros(common.rows.shape[1]), np.maximum(common.owners.sum(axis=0), 1)
-    for sureness, rows in zip(common.sureness, common.rows, strict=True):
-        own: Ints = np.flatnonzero(rows >= 0)
-        logs[own] += np.log(np.maximum(sureness[rows[own]], np.finfo(float).tiny))
-    means: Floats = np.exp(logs / counts)
-    return means
+def _every(count: int) -> int:
+    """Of so many points every which one judges."""
+    return max(1, -(-count // JUDGES))

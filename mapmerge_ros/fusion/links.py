@@ -12,6 +12,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.members import pairs_of_members
 from mapmerge_ros.fusion.overlap import (
     MIN_TO_JUDGE,
     Link,
@@ -118,16 +119,7 @@ def _conditions(pairs: _Pairs, association: Association, config: FusionConfig) -
 def _pairs(association: Association) -> _Pairs:
     maps = np.repeat(np.arange(len(association.tracks)), [len(own) for own in association.tracks])
     tracks = np.concatenate(association.tracks)
-    order = np.lexsort((maps, tracks))
-    first, second = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    for apart in range(1, int(np.bincount(tracks).max(initial=1))):
-        low, high = order[:-apart], order[apart:]
-        same = tracks[low] == tracks[high]
-        first.append(low[same])
-        second.append(high[same])
-    rows_a, rows_b = np.concatenate(first), np.concatenate(second)
-    by_pair = np.lexsort((tracks[rows_a], maps[rows_b], maps[rows_a]))
-    rows_a, rows_b = rows_a[by_pair], rows_b[by_pair]
+    rows_a, rows_b = pairs_of_members(maps, tracks)
     keys = maps[rows_a] * len(association.tracks) + maps[rows_b]
     _, starts, lengths = np.unique(keys, return_index=True, return_counts=True)
     return _Pairs(

@@ -73,7 +73,8 @@ def spanning_tree(
     The centre is among the sub-maps of the smallest gauge: its scale and heading are real.
     """
     graph = _graph(len(gauges), links)
-    centre = graph.centre([k for k in maps if gauges[k] == min(gauges[m] for m in maps)], maps)
+    smallest = min(gauges[k] for k in maps)
+    centre = graph.centre([k for k in maps if gauges[k] == smallest], maps)
     return centre, graph.frames_from(centre)
 
 

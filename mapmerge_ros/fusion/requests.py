@@ -113,17 +113,20 @@ def _lacking(
         ],
         tracks.count,
     )
-    goal = (wants @ wants.T).toarray()
-    np.fill_diagonal(goal, 0)
-    enough = np.where(goal >= config.min_shared, config.request_coverage * goal, 0.0)
-    lacks = (has.multiply(wants) @ wants.T).toarray() < enough
+    goal = scipy.sparse.triu(wants @ wants.T, 1).tocoo()
+    counts = goal.data >= config.min_shared
+    a, b = goal.row[counts], goal.col[counts]
+    enough = config.request_coverage * goal.data[counts]
+    known = (has.multiply(wants)).tocsr() @ wants.T
+    lacks_a, lacks_b = known[a, b] < enough, known[b, a] < enough
     asked = np.zeros(len(submaps), bool)
     while True:
         after = (wants.multiply(asked[:, None]) + has.multiply(~asked[:, None])).tocsr()
-        short = (after @ after.T).toarray() < enough
+        short = (after @ after.T)[a, b] < enough
         # Each may have enough of its own, and yet too little of it be the same.
-        to_ask = short & (lacks | ~lacks.T)
-        grown = asked | to_ask.any(axis=1)
+        grown = asked.copy()
+        grown[a[short & (lacks_a | ~lacks_b)]] = True
+        grown[b[short & (lacks_b | ~lacks_a)]] = True
         if (grown == asked).all():
             return asked
         asked = grown

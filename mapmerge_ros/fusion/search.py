@@ -43,7 +43,7 @@ def search(
 
     Deterministic, and a single start where no rotation is weakly determined: a refusal is then
     about the data. Where one is, noise explains wrong basins too: the cheaper of two starts at
-    least (8 wrong narrow rooms of 1000; see docs/experiments.md).
+    least (11 wrong narrow rooms of 1000; see docs/experiments.md).
     `start` is where the last merge ended: it comes first, and does not count.
 
     Raises

@@ -13,6 +13,9 @@ import scipy.sparse.csgraph
 
 from mapmerge_ros.geometry.similarity import Similarity
 
+AT_ONCE = 64
+"""Frames from which distances to all others are made together: memory for this many rows."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameGraph:
@@ -33,8 +36,14 @@ class FrameGraph:
 
     def centre(self, eligible: Sequence[int], members: Sequence[int]) -> int:
         """Return the eligible frame from which all members together are nearest."""
-        distances = scipy.sparse.csgraph.dijkstra(self._matrix(), directed=False, indices=eligible)
-        return eligible[int(np.argmin(distances[:, list(members)].sum(axis=1)))]
+        matrix, reached = self._matrix(), list(members)
+        totals = [
+            scipy.sparse.csgraph.dijkstra(
+                matrix, directed=False, indices=eligible[start : start + AT_ONCE]
+            )[:, reached].sum(axis=1)
+            for start in range(0, len(eligible), AT_ONCE)
+        ]
+        return eligible[int(np.argmin(np.concatenate(totals)))]
 
     def frames_from(self, root: int) -> dict[int, Similarity]:
         """S_root_k of every frame k that pairs connect with `root`, along the shortest paths."""
