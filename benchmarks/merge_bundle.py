@@ -4,7 +4,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import itertools
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -19,6 +24,9 @@ from mapmerge_ros.fusion.refine import Robot, refine
 BUNDLE_SECONDS = 360.0
 """Time limit of the full bundle: S4 needs most of it, or more."""
 
+NEARLY = 1.01
+"""Cost over the final one from which the bundle is nearly done."""
+
 ACCURACY_PAIRS = {'S1': 10, 'S2': 4, 'S3': 3, 'S4': 1}
 """
 Draws of scene and noise, each with its mirror image, whose squared errors are pooled.
@@ -31,21 +39,26 @@ of the opposite sign takes it out.
 
 def bundle(load: Workload, repeats: int) -> Values:
     """Ceres on all observations of all drones, from generalised Procrustes of the messages."""
-    joint, limit = _joined(load), {'max_seconds': BUNDLE_SECONDS}
+    joint, limit = _joined(load), {'max_seconds': BUNDLE_SECONDS, 'progress': True}
     made, _ = timed(1, lambda _: _adjusted(load, {'max_iterations': 0}, joint))
-    took, solved = timed(repeats, lambda _: _adjusted(load, limit, joint))
+    with standard_output() as written:
+        took, solved = timed(repeats, lambda _: _adjusted(load, limit, joint))
     ids = np.unique(np.concatenate([submap.compressed_ids for submap in load.submaps]))
     rows = solved.bundle.rows_of(ids)
     return {
         **{name: value - made[name] for name, value in took.items()},
         'iterations': solved.iterations,
         'converged': solved.converged,
+        'nearly_s': seconds_until(written[0], NEARLY),
         'points': len(joint.point_ids),
         'keyframes': len(joint.keyframe_ids),
         'observation_bytes': 12.0 * len(joint.observations_px) / len(load.submaps),
         'rmse_m': rmse_to_truth(solved.bundle.points[rows], load.points_world(ids)),
     }
 
+
+COLUMNS = 10
+"""Of Ceres' table of steps: number, cost, six others, seconds of the step and of all so far."""
 
 REFINED = 16
 """Drones up to which a round of refinement is tried: it compresses to all landmarks."""
@@ -80,6 +93,35 @@ def accuracy(load: Workload, repeats: int) -> Values:
     if count <= REFINED:
         found['apart_after_a_round'] = float(np.sqrt(left / bundled))
     return found
+
+
+def seconds_until(tables: str, share: float) -> float:
+    """Seconds until the cost was within a share of its last one, by the last of Ceres' tables."""
+    steps: list[tuple[float, float]] = []
+    for row in (line.split() for line in tables.splitlines()):
+        if len(row) == COLUMNS and row[0].isdigit():
+            steps = [] if row[0] == '0' else steps
+            steps.append((float(row[1]), float(row[-1])))
+    lowest = min(cost for cost, _ in steps)
+    return next(seconds for cost, seconds in steps if cost <= share * lowest)
+
+
+@contextmanager
+def standard_output() -> Iterator[list[str]]:
+    """Fill a list with what the process writes there meanwhile, libraries in C included."""
+    written, kept = list[str](), os.dup(1)
+    flush = ctypes.CDLL(None).fflush
+    with tempfile.TemporaryFile('w+') as file:
+        flush(None)
+        os.dup2(file.fileno(), 1)
+        try:
+            yield written
+        finally:
+            flush(None)
+            os.dup2(kept, 1)
+            os.close(kept)
+        file.seek(0)
+        written.append(file.read())
 
 
 def _after_a_round(load: Workload, ids: Ids) -> Floats:

@@ -22,6 +22,7 @@ HEAD = (
     ('cold : replaced', 'cold_to_warm'),
     ('full bundle [s]', 'bundle'),
     ('bundle : merge', 'ratio'),
+    ('within 1 % [s]', 'nearly'),
     ('memory merge [MB]', 'memory'),
     ('memory bundle : merge', 'memory_ratio'),
 )
@@ -142,6 +143,7 @@ def _beside(found: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
     ratios = {
         'observations': bundle['observation_bytes'] / 1e3,
         'ratio': bundle['cpu_s'] / row['merge'],
+        'nearly': bundle['nearly_s'],
         'memory_ratio': bundle['growth_mb'] / row['memory'],
     }
     if bundle['converged']:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The benchmark of the merge runs, on a small fleet; no times are asserted."""
 
+import ctypes
 import sys
 from pathlib import Path
 
@@ -13,6 +14,7 @@ pytest.importorskip('pycolmap', reason='the full bundle is solved by Ceres: pip 
 sys.path.insert(0, str(Path(__file__).parents[1] / 'benchmarks'))
 
 from merge import quick
+from merge_bundle import seconds_until, standard_output
 from merge_tables import rows_of, tables
 from workloads import cached, workload
 
@@ -29,6 +31,32 @@ def test_a_small_fleet_is_merged_as_well_as_it_is_bundled(measured):
     assert 0.8 < measured['merge']['variance_factor'] < 1.2
     assert measured['whole']['maps'] == 4
     assert measured['rewarm']['apart_m'] < 1e-4 * measured['merge']['rmse_m']
+
+
+def test_when_the_bundle_is_nearly_done_is_read_from_the_last_table(measured):
+    """Ceres writes a line for each step: number, cost, six more, seconds of it and of all."""
+    assert 0.0 < measured['bundle']['nearly_s'] < 2.0 * measured['bundle']['wall_s']
+    head = (
+        'iter cost cost_change |gradient| |step| tr_ratio tr_radius ls_iter iter_time total_time'
+    )
+
+    def table(steps):
+        rows = [f'{k} {cost} 0 0 0 0 0 0 0.1 {done}' for k, (cost, done) in enumerate(steps)]
+        return '\n'.join([head, *rows, ''])
+
+    first = table([(9.0, 0.1), (1.0, 0.2)])
+    last = table([(200.0, 0.5), (101.5, 1.0), (100.9, 2.0), (100.0, 4.0)])
+    assert seconds_until(first + 'more text\n' + last, 1.01) == 2.0
+    assert seconds_until(first + last, 1.02) == 1.0
+
+
+def test_what_libraries_write_is_kept_from_the_standard_output(capfd):
+    with standard_output() as written:
+        ctypes.CDLL(None).puts(b'from C')
+    ctypes.CDLL(None).puts(b'afterwards')
+    ctypes.CDLL(None).fflush(None)
+    assert written == ['from C\n']
+    assert capfd.readouterr().out == 'afterwards\n'
 
 
 def test_noise_of_both_signs_takes_out_what_is_luck_and_a_round_what_is_left(measured):

@@ -68,6 +68,18 @@ def test_trials_at_once_are_those_one_by_one(motion):
         assert free[at] == pytest.approx(again.statistic(rows, motion), rel=1e-5)
 
 
+def test_all_neighbourhoods_at_once_are_those_one_by_one():
+    merge = draw(1, landmarks=60, views=(3, 4))
+    patch = Patch.of_map(sensitivity(merge), merge.points, 1)
+    motions = (TRANSLATION, RIGID)
+    statistics, rows = patch.neighbourhoods(8, motions)
+    for motion, each in zip(motions, statistics, strict=True):
+        for at in range(0, len(patch), 7):
+            assert rows[at, 0] == at
+            alone = patch.with_one_free(np.sort(rows[at]), motion).min()
+            assert each[at] == pytest.approx(alone, rel=1e-6)
+
+
 @pytest.mark.parametrize('motion', [TRANSLATION, RIGID])
 def test_a_common_motion_of_nobody_is_chi_square(motion):
     rng, values = np.random.default_rng(2), []

@@ -14,9 +14,9 @@ from mapmerge_ros.fusion.local import Sensitivity
 from mapmerge_ros.fusion.motion import RigidMotion, rigid_motion
 from mapmerge_ros.fusion.patches import RIGID, RIGID_FACTOR, TRANSLATION, Patch
 
-SCANNED = ((6, TRANSLATION), (12, TRANSLATION), (12, RIGID))
+SCANNED = ((6, (TRANSLATION,)), (12, (TRANSLATION, RIGID)))
 """
-Landmarks that are tried as one object, and the motion that they are tried with.
+Landmarks that are tried as one object, and the motions that they are tried with.
 
 Small objects stand out in six, large ones in twelve. Six have 18 coordinates: a rigid motion
 would explain two bad tracks among them.
@@ -156,14 +156,15 @@ def _strongest(state: Sensitivity, points: Floats) -> tuple[float, Ints] | None:
     best: tuple[float, Ints] | None = None
     for k in range(len(state.within)):
         patch = Patch.of_map(state, points, k)
-        for count, motion in SCANNED:
+        for count, motions in SCANNED:
             if len(patch) < 2 * count:  # of which the rest must say where the map is
                 continue
-            statistics, rows = patch.neighbourhoods(count, motion)
-            at = int(np.argmax(statistics))
-            statistic = float(statistics[at]) / _factor(motion)
-            if best is None or statistic > best[0]:
-                best = statistic, patch.members[np.sort(rows[at])]
+            statistics, rows = patch.neighbourhoods(count, motions)
+            for motion, each in zip(motions, statistics, strict=True):
+                at = int(np.argmax(each))
+                statistic = float(each[at]) / _factor(motion)
+                if best is None or statistic > best[0]:
+                    best = statistic, patch.members[np.sort(rows[at])]
     return best
 
 

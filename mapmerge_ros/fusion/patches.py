@@ -13,6 +13,7 @@ smoother errors are.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -95,14 +96,7 @@ class Patch:
     def with_one_free(self, inside: Ints, motion: int) -> Floats:
         """Statistic of the others with each of the rows `inside` (m,) free."""
         total, matrix, pushed = self._sums(inside, motion)
-        return _free(
-            total,
-            matrix,
-            pushed[inside],
-            self.basis[inside, :, :motion],
-            self._blocks()[inside],
-            self.score[inside],
-        )
+        return self._free(total, matrix, pushed[inside], inside, motion)
 
     def without_loudest(self, inside: Ints, motion: int) -> float:
         """Statistic with those free, one in five but two at least, that speak for it most."""
@@ -112,20 +106,26 @@ class Patch:
             patch, inside = patch._freed(int(inside[at])), np.delete(inside, at)
         return patch.statistic(inside, motion)
 
-    def neighbourhoods(self, count: int, motion: int) -> tuple[Floats, Ints]:
-        """Statistics (n,), the least with one of them free, and rows (n, count) of every one."""
+    def neighbourhoods(self, count: int, motions: Sequence[int]) -> tuple[Floats, Ints]:
+        """
+        Statistics (motions, n) of each member with its neighbours, and their rows (n, count).
+
+        The statistic is the least with one of them free.
+        """
         rows = np.asarray(cKDTree(self.points).query(self.points, count)[1], np.int64)
-        n, size = len(self), 3 * count
+        n, size, widest = len(self), 3 * count, max(motions)
         blocks = self.information.reshape(n, 3, n, 3).swapaxes(1, 2)
         near = blocks[rows[:, :, None], rows[:, None, :]].swapaxes(2, 3).reshape(n, size, size)
-        basis = self.basis[rows, :, :motion]
-        pushed = (near @ basis.reshape(n, size, motion)).reshape(n, count, 3, motion)
-        matrix = (basis.swapaxes(2, 3) @ pushed).sum(axis=1)
-        total = np.einsum('ncip,nci->np', basis, self.score[rows])
-        values = _free(
-            total[:, None], matrix[:, None], pushed, basis, self._blocks()[rows], self.score[rows]
-        )
-        return values.min(axis=1), rows
+        basis = self.basis[rows, :, :widest].reshape(n, size, widest)
+        pushed = near @ basis
+        matrix = basis.swapaxes(1, 2) @ pushed
+        total = (basis.swapaxes(1, 2) @ self.score[rows].reshape(n, size, 1))[:, :, 0]
+        pushed = pushed.reshape(n, count, 3, widest)
+        values = [
+            self._free(total[:, None, :p], matrix[:, None, :p, :p], pushed[..., :p], rows, p)
+            for p in motions
+        ]
+        return np.array([each.min(axis=1) for each in values]), rows
 
     def unbent(self) -> Patch:
         """
@@ -157,6 +157,27 @@ class Patch:
         near = np.asarray(cKDTree(self.points).query(self.points[inside], count + 1)[1])[:, 1:]
         return float(np.isin(near, inside).mean())
 
+    def _free(
+        self, total: Floats, matrix: Floats, pushed: Floats, rows: Ints, motion: int
+    ) -> Floats:
+        """
+        Statistics (..., m) of a motion of the members in `rows` (..., m) with each of them free.
+
+        b (..., p) and A (..., p, p) are of all of them, J B (..., m, 3, p) by member.
+        """
+        basis, own = self.basis[:, :, :motion], self._blocks()
+        alone = own @ basis
+        crossing = basis.swapaxes(1, 2)[rows] @ pushed
+        rest = matrix - crossing - crossing.swapaxes(-1, -2) + self._own(rows, motion)
+        left = total - self._scores(rows, motion)
+        towards = pushed - alone[rows]
+        some, back = np.unique(rows, return_inverse=True)  # what is free already has no inverse
+        solved = np.linalg.inv(own[some])[back.reshape(rows.shape)] @ towards
+        return _squares(
+            left - (self.score[rows][..., None, :] @ solved)[..., 0, :],
+            rest - towards.swapaxes(-1, -2) @ solved,
+        )
+
     def _freed(self, row: int) -> Patch:
         at = slice(3 * row, 3 * row + 3)
         columns = self.information[:, at]
@@ -184,34 +205,13 @@ class Patch:
 
     def _scores(self, rows: Ints, motion: int) -> Floats:
         """B_i's_i (..., p)."""
-        return np.asarray(
-            np.einsum('...ip,...i->...p', self.basis[rows, :, :motion], self.score[rows])
-        )
+        scores = (self.score[:, None, :] @ self.basis[:, :, :motion])[:, 0]
+        return np.asarray(scores[rows])
 
     def _own(self, rows: Ints, motion: int) -> Floats:
         """B_i'J_iiB_i (..., p, p)."""
         basis = self.basis[:, :, :motion]
         return np.asarray((basis.swapaxes(1, 2) @ self._blocks() @ basis)[rows])
-
-
-def _free(
-    total: Floats, matrix: Floats, pushed: Floats, basis: Floats, own: Floats, score: Floats
-) -> Floats:
-    """
-    Statistics (..., m) of a motion of m members with each of them free.
-
-    b (..., p), A (..., p, p), then by member J B, B, J and s.
-    """
-    crossing = basis.swapaxes(-1, -2) @ pushed
-    inner = basis.swapaxes(-1, -2) @ own @ basis
-    rest = matrix - crossing - crossing.swapaxes(-1, -2) + inner
-    left = total - np.einsum('...ip,...i->...p', basis, score)
-    towards = pushed - own @ basis
-    solved = np.linalg.solve(own, towards)
-    return _squares(
-        left - np.einsum('...ip,...i->...p', solved, score),
-        rest - towards.swapaxes(-1, -2) @ solved,
-    )
 
 
 def _squares(vectors: Floats, matrices: Floats) -> Floats:

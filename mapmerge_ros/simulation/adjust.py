@@ -64,6 +64,7 @@ def solve(
     trust_radius: float | None = None,
     linear_solver: str = '',
     max_seconds: float = 1e9,
+    progress: bool = False,
 ) -> Adjustment:
     """
     Minimise the reprojection error over all poses and points; the intrinsics stay.
@@ -74,7 +75,7 @@ def solve(
 
     With `trust_radius` the trust region is held at that size and does not grow. `linear_solver`
     is one of Ceres by name (SPARSE_SCHUR, …); COLMAP chooses by the number of images if it is
-    empty.
+    empty. With `progress` Ceres writes its table of steps to the standard output.
 
     Raises
     ------
@@ -91,6 +92,10 @@ def solve(
         solver = options.ceres.solver_options
         solver.initial_trust_region_radius = solver.max_trust_region_radius = trust_radius
     options.ceres.solver_options.max_solver_time_in_seconds = max_seconds
+    if progress:
+        solver = options.ceres.solver_options
+        solver.minimizer_progress_to_stdout = True
+        solver.logging_type = type(solver.logging_type).PER_MINIMIZER_ITERATION
     if linear_solver:
         solver, options.ceres.auto_select_solver_type = options.ceres.solver_options, False
         solver.linear_solver_type = getattr(type(solver.linear_solver_type), linear_solver)

@@ -96,6 +96,8 @@ class Factor:
         for front, block in zip(self.fronts.fronts, self.blocks, strict=False):
             if front.eliminated:
                 own = slice(front.start, front.start + front.eliminated)
+                if not solved[own].any():
+                    continue  # what one map says goes from its leaf to the root, and nowhere else
                 solved[own] = _times_lower(block.inverse, solved[own])
                 if len(front.boundary):
                     solved[front.boundary] -= block.below @ solved[own]
