@@ -20,6 +20,7 @@ from association_growth import growth
 from association_links import links
 from association_negatives import no_false_join
 from association_pairs import load_sets, pairs
+from documents import put
 from threadpoolctl import threadpool_limits
 
 from mapmerge_ros.errors import MapMergeError
@@ -62,9 +63,7 @@ def report(name: str, text: str, document: Path | None) -> None:
     """Print one part, and put it into its place in the document."""
     print(f'{name}\n\n{text}\n')
     if document:
-        before, begin, rest = document.read_text().partition(f'<!-- {name} -->\n')
-        _, end, after = rest.partition(f'<!-- end of {name} -->')
-        document.write_text(before + begin + text + '\n' + end + after)
+        put(document, name, text)
 
 
 if __name__ == '__main__':

@@ -14,6 +14,7 @@ those that the session has. The ids of the data are the matches.
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -21,15 +22,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from data_sets import data_sets
+from documents import published
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from threadpoolctl import threadpool_limits
 
 from mapmerge_ros.bundle import Bundle, MapName, compress
 from mapmerge_ros.bundle.linearise import linearise
 from mapmerge_ros.bundle.quality import TrackQuality
 from mapmerge_ros.bundle.selection import matched
-from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion import Component, Fusion, Kind, fuse
 from mapmerge_ros.fusion.informations import informations
 from mapmerge_ros.fusion.joint.cost import JointCost
@@ -260,24 +261,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--trials', type=int, default=20, help='per set and motion')
     parser.add_argument('--markdown', type=Path, help='document whose table is replaced')
     args = parser.parse_args(argv)
-    folders = [path.parent for path in sorted(args.data.glob('*/gold'))]
-    if not folders:
-        print(f'{args.data}: no data set with a gold bundle', file=sys.stderr)
-        return 1
-    table = [HEAD, '|---' * (HEAD.count(' |')) + '|']
-    try:
-        with threadpool_limits(1):
-            for row in rows(folders, args.trials):
-                print(row, flush=True)
-                table.append(row)
-    except MapMergeError as err:
-        print(err, file=sys.stderr)
-        return 1
-    if args.markdown:
-        before, begin, rest = args.markdown.read_text().partition('<!-- semi-real -->\n')
-        _, end, after = rest.partition('<!-- end of semi-real -->')
-        args.markdown.write_text(before + begin + '\n'.join(table) + '\n' + end + after)
-    return 0
+    head = [HEAD, '|---' * (HEAD.count(' |')) + '|']
+    return published(
+        lambda: itertools.chain(head, rows(data_sets(args.data), args.trials)),
+        args.markdown,
+        'semi-real',
+    )
 
 
 if __name__ == '__main__':

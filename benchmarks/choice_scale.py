@@ -13,6 +13,7 @@ and growth of the peak of the memory, catalogues not counted.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import sys
 import time
@@ -20,12 +21,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from documents import published
 from merge_steps import Values
 from own_process import memory_growth, run_apart
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.association import number_by_id
-from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion import FusionConfig
 from mapmerge_ros.fusion.catalogues import Tracks
 from mapmerge_ros.fusion.requests import plan_requests
@@ -35,8 +36,6 @@ from mapmerge_ros.submap import Descriptors, Source, SubMap
 LANDMARKS = 1000
 
 HEAD = ['| robots | asked | landmarks each | CPU seconds | memory [MB] |', '|---|---|---|---|---|']
-
-BEGIN, END = '<!-- scale -->\n', '<!-- end of scale -->'
 
 
 def catalogues(robots: int, landmarks: int = LANDMARKS) -> list[SubMap]:
@@ -118,20 +117,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.run:
         print(json.dumps(run(args.run)))
         return 0
-    table = list(HEAD)
-    print('\n'.join(table))
-    try:
-        for line in rows(args.robots):
-            print(line, flush=True)
-            table.append(line)
-    except MapMergeError as err:
-        print(err, file=sys.stderr)
-        return 1
-    if args.markdown:
-        before, begin, rest = args.markdown.read_text().partition(BEGIN)
-        _, end, after = rest.partition(END)
-        args.markdown.write_text(before + begin + '\n'.join(table) + '\n' + end + after)
-    return 0
+    return published(lambda: itertools.chain(HEAD, rows(args.robots)), args.markdown, 'scale')
 
 
 if __name__ == '__main__':

@@ -19,12 +19,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from data_sets import data_sets
+from documents import published
 
 from mapmerge_ros.bundle import Bundle, MapName, compress, with_lens_prior
 from mapmerge_ros.bundle.quality import TrackQuality
 from mapmerge_ros.bundle.selection import matched
-from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.experiments.room import simulate_room
 from mapmerge_ros.fusion import Fusion, FusionConfig, fuse
 from mapmerge_ros.io import load_colmap
@@ -227,23 +227,10 @@ def main(argv: list[str] | None = None) -> int:
         '--all-tracks', action='store_true', help='draw from all tracks, lenses taken as exact'
     )
     args = parser.parse_args(argv)
-    folders = [path.parent for path in sorted(args.data.glob('*/gold'))]
-    if not folders:
-        print(f'{args.data}: no data set with a gold bundle', file=sys.stderr)
-        return 1
-    try:
-        with threadpool_limits(1):
-            text = measure(folders, all_tracks=args.all_tracks)
-    except MapMergeError as err:
-        print(err, file=sys.stderr)
-        return 1
-    print(text)
-    if args.markdown:
-        mark = 'all tracks' if args.all_tracks else 'good tracks'
-        before, begin, rest = args.markdown.read_text().partition(f'<!-- {mark} -->\n')
-        _, end, after = rest.partition(f'<!-- end of {mark} -->')
-        args.markdown.write_text(before + begin + text + '\n' + end + after)
-    return 0
+    mark = 'all tracks' if args.all_tracks else 'good tracks'
+    return published(
+        lambda: [measure(data_sets(args.data), all_tracks=args.all_tracks)], args.markdown, mark
+    )
 
 
 if __name__ == '__main__':

@@ -21,6 +21,7 @@ Simulated fleets are pooled over their seeds, as one choice is one sample of the
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -29,11 +30,11 @@ from pathlib import Path
 import numpy as np
 from choice_errors import COLUMNS, errors, merge
 from choice_robots import FLEETS, Robots, real_robots, simulated_robots
-from threadpoolctl import threadpool_limits
+from data_sets import data_sets
+from documents import published
 
 from mapmerge_ros.arrays import Floats, Ids
 from mapmerge_ros.bundle import Bundle
-from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion.offline import choose_for_bundles
 
 BUDGETS = (24, 50, 100)
@@ -49,8 +50,6 @@ HEAD = [
     f'| robots | budget | {" | ".join((*COLUMNS, *LAST_COLUMNS))} |',
     '|---' * (len(COLUMNS) + len(LAST_COLUMNS) + 2) + '|',
 ]
-
-BEGIN, END = '<!-- choice -->\n', '<!-- end of choice -->'
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +152,7 @@ def rows(groups: Iterator[tuple[str, list[Robots]]], draws: int) -> Iterator[str
 
 def every(data: Path, seeds: int) -> Iterator[tuple[str, list[Robots]]]:
     """Real sets first, one after the other."""
-    for folder in sorted(path.parent for path in data.glob('*/gold')):
+    for folder in data_sets(data):
         yield folder.name, [real_robots(folder)]
     for name, config in FLEETS.items():
         fleets = [simulated_robots(name, config, seed) for seed in range(seeds)]
@@ -168,21 +167,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--seeds', type=int, default=4, help='of each simulated fleet')
     parser.add_argument('--markdown', type=Path, help='document whose table is replaced')
     args = parser.parse_args(argv)
-    table = list(HEAD)
-    print('\n'.join(table))
-    try:
-        with threadpool_limits(1):
-            for line in rows(every(args.data, args.seeds), args.draws):
-                print(line, flush=True)
-                table.append(line)
-    except MapMergeError as err:
-        print(err, file=sys.stderr)
-        return 1
-    if args.markdown:
-        before, begin, rest = args.markdown.read_text().partition(BEGIN)
-        _, end, after = rest.partition(END)
-        args.markdown.write_text(before + begin + '\n'.join(table) + '\n' + end + after)
-    return 0
+    groups = every(args.data, args.seeds)
+    return published(
+        lambda: itertools.chain(HEAD, rows(groups, args.draws)), args.markdown, 'choice'
+    )
 
 
 if __name__ == '__main__':

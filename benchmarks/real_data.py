@@ -18,11 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from data_sets import data_sets
+from documents import published
 
 from mapmerge_ros.bundle import Bundle, MapName, compress
 from mapmerge_ros.bundle.selection import matched
-from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion import Fusion, fuse
 from mapmerge_ros.fusion.refine import Robot, refine
 from mapmerge_ros.geometry import Gauge, align, align_robustly, scene_radius
@@ -222,31 +222,17 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--markdown', type=Path, help='document whose table is replaced')
     parser.add_argument('--rounds', type=int, default=0, help='re-linearise so many times')
     args = parser.parse_args(argv)
-    folders = [path.parent for path in sorted(args.data.glob('*/gold'))]
-    if not folders:
-        print(f'{args.data}: no data set with a gold bundle', file=sys.stderr)
-        return 1
-    try:
-        with threadpool_limits(1):
-            text, mark = measure(folders, args.rounds)
-    except MapMergeError as err:
-        print(err, file=sys.stderr)
-        return 1
-    print(text)
-    if args.markdown:
-        before, begin, rest = args.markdown.read_text().partition(f'<!-- {mark} -->\n')
-        _, end, after = rest.partition(f'<!-- end of {mark} -->')
-        args.markdown.write_text(before + begin + text + '\n' + end + after)
-    return 0
+    mark = 'rounds' if args.rounds else 'table'
+    return published(lambda: [measure(data_sets(args.data), args.rounds)], args.markdown, mark)
 
 
-def measure(folders: list[Path], rounds: int) -> tuple[str, str]:
-    """Table, and its name in the document."""
+def measure(folders: list[Path], rounds: int) -> str:
+    """Table of the merges, or of rounds of refinement."""
     if not rounds:
-        return table([evaluate(folder, CAPS.get(folder.name))[0] for folder in folders]), 'table'
+        return table([evaluate(folder, CAPS.get(folder.name))[0] for folder in folders])
     caps = {name: min(cap or 10**9, 600) for name, cap in CAPS.items()}
     rows = [evaluate_rounds(folder, caps.get(folder.name), rounds) for folder in folders]
-    return refinement_table(rows, rounds), 'rounds'
+    return refinement_table(rows, rounds)
 
 
 if __name__ == '__main__':

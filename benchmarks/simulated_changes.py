@@ -11,6 +11,7 @@ Exactly linear merges with exactly Gaussian noise (those of the tests), and flee
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 import scipy.stats
-from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).parents[1] / 'test'))
+from documents import published
 from gaussian_merges import draw, merged, noise, scene
 from test_objects import chi2_of, with_object
 
@@ -176,16 +177,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--markdown', type=Path, help='document whose table is replaced')
     args = parser.parse_args(argv)
-    table = [HEAD, '|---|---|---|']
-    with threadpool_limits(1):
-        for row in rows():
-            print(row, flush=True)
-            table.append(row)
-    if args.markdown:
-        before, begin, rest = args.markdown.read_text().partition('<!-- simulated -->\n')
-        _, end, after = rest.partition('<!-- end of simulated -->')
-        args.markdown.write_text(before + begin + '\n'.join(table) + '\n' + end + after)
-    return 0
+    head = [HEAD, '|---|---|---|']
+    return published(lambda: itertools.chain(head, rows()), args.markdown, 'simulated')
 
 
 if __name__ == '__main__':

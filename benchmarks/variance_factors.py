@@ -21,8 +21,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from data_sets import data_sets
+from documents import published
 from real_data import error_ratio, procrustes_and_averaging
-from threadpoolctl import threadpool_limits
 
 from mapmerge_ros.bundle import Bundle, MapName, compress, with_lens_prior
 from mapmerge_ros.bundle.quality import TrackQuality
@@ -141,28 +142,26 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--lens-prior', type=float, default=0.12)
     parser.add_argument('--rounds', type=int, default=0)
     args = parser.parse_args(argv)
-    folders = [path.parent for path in sorted(args.data.glob('*/gold'))]
-    if args.sets:
-        folders = [folder for folder in folders if folder.name in args.sets]
-    if not folders:
-        print(f'{args.data}: no data set with a gold bundle', file=sys.stderr)
-        return 1
-    print(
+    return published(lambda: lines(args), None, '')
+
+
+def lines(args: argparse.Namespace) -> Iterator[str]:
+    """Lines of the table."""
+    folders = data_sets(args.data)
+    yield (
         '| set | compressed | maps merged | landmarks | ã/(dof σ²) | to gold | '
-        'Procrustes and averaging to gold | to the full bundle of the same links and lenses |\n'
-        + '|---' * 8
-        + '|'
+        'Procrustes and averaging to gold | to the full bundle of the same links and lenses |'
     )
-    with threadpool_limits(1):
-        for folder in folders:
-            for row in evaluate(folder, args.landmarks, args.draws, args.lens_prior, args.rounds):
-                print(
-                    f'| {row.name} | {row.variant} | {row.merged} | {row.landmarks:.0f} | '
-                    f'{row.variance_factor:.2f} | {row.to_gold:.1e} | '
-                    f'{row.procrustes_to_gold:.1e} | {row.to_own_full:.1e} |',
-                    flush=True,
-                )
-    return 0
+    yield '|---' * 8 + '|'
+    for folder in folders:
+        if args.sets and folder.name not in args.sets:
+            continue
+        for row in evaluate(folder, args.landmarks, args.draws, args.lens_prior, args.rounds):
+            yield (
+                f'| {row.name} | {row.variant} | {row.merged} | {row.landmarks:.0f} | '
+                f'{row.variance_factor:.2f} | {row.to_gold:.1e} | '
+                f'{row.procrustes_to_gold:.1e} | {row.to_own_full:.1e} |'
+            )
 
 
 if __name__ == '__main__':

@@ -12,6 +12,7 @@ draws of real sets of three sub-maps or more; in each, one sub-map is damaged.
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -19,9 +20,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from data_sets import data_sets
+from documents import published
 from honest_tests import CHOSEN_ON, bent, corrupt, draw, load
 from scipy.spatial.transform import Rotation
-from threadpoolctl import threadpool_limits
 
 from mapmerge_ros.bundle.bundle import FramePrior
 from mapmerge_ros.fusion import Fusion, fuse
@@ -217,16 +219,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--trials', type=int, default=20, help='per set and damage')
     parser.add_argument('--markdown', type=Path, help='document whose table is replaced')
     args = parser.parse_args(argv)
-    table = [HEAD, '|---' * (HEAD.count(' |')) + '|']
-    with threadpool_limits(1):
-        for row in rows([path.parent for path in sorted(args.data.glob('*/gold'))], args.trials):
-            print(row, flush=True)
-            table.append(row)
-    if args.markdown:
-        before, begin, rest = args.markdown.read_text().partition('<!-- wrong maps -->\n')
-        _, end, after = rest.partition('<!-- end of wrong maps -->')
-        args.markdown.write_text(before + begin + '\n'.join(table) + '\n' + end + after)
-    return 0
+    head = [HEAD, '|---' * (HEAD.count(' |')) + '|']
+    return published(
+        lambda: itertools.chain(head, rows(data_sets(args.data), args.trials)),
+        args.markdown,
+        'wrong maps',
+    )
 
 
 if __name__ == '__main__':
