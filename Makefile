@@ -7,12 +7,12 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test check unit colcon docs interfaces readme install install-test bag clean
+.PHONY: demo test check unit oldest colcon docs interfaces readme install install-test bag clean
 
 demo: install
 	$(BIN)/mapmerge demo --out out/demo
 
-test: check unit readme docs colcon
+test: check unit oldest readme docs colcon
 
 check: install-test
 	$(BIN)/ruff check .
@@ -20,6 +20,20 @@ check: install-test
 
 unit: install-test
 	$(BIN)/python -m pytest
+
+# The engine with the oldest libraries that setup.py allows, without ROS and Ceres. NumPy 1.26 has wheels up to
+# Python 3.12.
+OLDEST := build/oldest
+oldest:
+	@if $(PYTHON) -c 'import sys; sys.exit(sys.version_info >= (3, 13))'; \
+	then $(MAKE) --no-print-directory $(OLDEST)/.installed && $(OLDEST)/bin/python -m pytest; \
+	else echo 'oldest: not with Python 3.13 or newer'; fi
+
+$(OLDEST)/.installed: setup.py test/constraints-oldest.txt
+	$(PYTHON) -m venv $(OLDEST)
+	$(OLDEST)/bin/python -m pip --disable-pip-version-check -q install \
+	    -c test/constraints-oldest.txt -e . mcap-ros2-support pytest
+	@touch $@
 
 readme: install-test
 	$(BIN)/python test/run_readme.py README.md

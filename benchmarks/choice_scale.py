@@ -5,7 +5,7 @@ What it takes to choose landmarks for many robots that have announced whole cata
 
     python benchmarks/choice_scale.py [--robots 16 64 256 1024] [--markdown docs/throughput.md]
 
-Robots over a square, each with a catalogue of 1000 points, a third of them common to neighbours;
+Robots over a square, each with a catalogue of 1000 points, half of them common to neighbours;
 nothing is compressed yet, so everything is chosen. Each size in a process of its own: CPU seconds,
 and growth of the peak of the memory, catalogues not counted.
 """
@@ -39,7 +39,7 @@ HEAD = ['| robots | asked | landmarks each | CPU seconds | memory [MB] |', '|---
 
 
 def catalogues(robots: int, landmarks: int = LANDMARKS) -> list[SubMap]:
-    """Robots in a square grid, each seeing the 1.2 x 1.2 cells of side 1 around its place."""
+    """Robots in a square grid, each seeing a square of 1.2 from its place on."""
     rng = np.random.default_rng(robots)
     side = int(np.ceil(np.sqrt(robots)))
     count = round(landmarks * (side + 0.2) ** 2 / 1.2**2)

@@ -21,6 +21,8 @@ def published(make: Callable[[], Iterable[str]], document: Path | None, mark: st
     """
     made = []
     try:
+        if document:
+            _around(document, mark)  # hours before it is needed
         with threadpool_limits(1):
             for line in make():
                 print(line, flush=True)
@@ -43,9 +45,15 @@ def put(document: Path, mark: str, text: str) -> None:
         The document has no such place.
 
     """
+    before, after = _around(document, mark)
+    document.write_text(f'{before}{text}\n{after}')
+
+
+def _around(document: Path, mark: str) -> tuple[str, str]:
+    """What stands before the place and what after it, marks included."""
     begin, end = f'<!-- {mark} -->\n', f'<!-- end of {mark} -->'
     before, found_begin, rest = document.read_text().partition(begin)
     _, found_end, after = rest.partition(end)
     if not (found_begin and found_end):
         raise MapMergeError(f'{document} has no place marked {mark!r}')
-    document.write_text(f'{before}{begin}{text}\n{end}{after}')
+    return before + begin, end + after

@@ -150,9 +150,9 @@ def rows(groups: Iterator[tuple[str, list[Robots]]], draws: int) -> Iterator[str
             yield f'| {name} | {budget} | {cells} | {joined} | {alone} |'
 
 
-def every(data: Path, seeds: int) -> Iterator[tuple[str, list[Robots]]]:
+def every(data: Path | None, seeds: int) -> Iterator[tuple[str, list[Robots]]]:
     """Real sets first, one after the other."""
-    for folder in data_sets(data):
+    for folder in data_sets(data) if data else ():
         yield folder.name, [real_robots(folder)]
     for name, config in FLEETS.items():
         fleets = [simulated_robots(name, config, seed) for seed in range(seeds)]
@@ -162,7 +162,9 @@ def every(data: Path, seeds: int) -> Iterator[tuple[str, list[Robots]]]:
 def main(argv: list[str] | None = None) -> int:
     """Print the table, and write it into a document when asked."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('data', type=Path, help='folder with one folder per data set')
+    parser.add_argument(
+        'data', type=Path, nargs='?', help='folder with one folder per data set (default: none)'
+    )
     parser.add_argument('--draws', type=int, default=25)
     parser.add_argument('--seeds', type=int, default=4, help='of each simulated fleet')
     parser.add_argument('--markdown', type=Path, help='document whose table is replaced')

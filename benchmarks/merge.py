@@ -19,6 +19,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from documents import put
 from merge_compression import compression
 from merge_kinds import KINDS
 from merge_steps import Values
@@ -28,7 +29,7 @@ from workloads import DRONES, Workload, cached, workload
 
 from mapmerge_ros.fusion import fuse
 
-MARK = '<!-- tables of benchmarks/merge.py -->\n'
+MARK = 'tables of benchmarks/merge.py'
 
 NOT_OF: dict[str, tuple[str, ...]] = {
     'S3': ('dense',),
@@ -99,8 +100,7 @@ def main() -> None:
     if args.json:
         args.json.write_text(json.dumps(results, indent=1) + '\n')
     if args.markdown:
-        head = args.markdown.read_text().partition(MARK)[0]
-        args.markdown.write_text(f'{head}{MARK}\n{tables(results)}\n')
+        put(args.markdown, MARK, f'\n{tables(results)}\n')
     if args.figure:
         draw(results, args.figure)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import ctypes
 import itertools
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -112,6 +113,7 @@ def standard_output() -> Iterator[list[str]]:
     written, kept = list[str](), os.dup(1)
     flush = ctypes.CDLL(None).fflush
     with tempfile.TemporaryFile('w+') as file:
+        sys.stdout.flush()
         flush(None)
         os.dup2(file.fileno(), 1)
         try:

@@ -28,6 +28,7 @@ from real_data import error_ratio, procrustes_and_averaging
 from mapmerge_ros.bundle import Bundle, MapName, compress, with_lens_prior
 from mapmerge_ros.bundle.quality import TrackQuality
 from mapmerge_ros.bundle.selection import matched
+from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.fusion import Fusion, fuse
 from mapmerge_ros.fusion.refine import Robot, refine
 from mapmerge_ros.io import load_colmap
@@ -147,15 +148,15 @@ def main(argv: list[str] | None = None) -> int:
 
 def lines(args: argparse.Namespace) -> Iterator[str]:
     """Lines of the table."""
-    folders = data_sets(args.data)
+    folders = [x for x in data_sets(args.data) if not args.sets or x.name in args.sets]
+    if not folders:
+        raise MapMergeError(f'{args.data}: none of the data sets {", ".join(args.sets)}')
     yield (
         '| set | compressed | maps merged | landmarks | ã/(dof σ²) | to gold | '
         'Procrustes and averaging to gold | to the full bundle of the same links and lenses |'
     )
     yield '|---' * 8 + '|'
     for folder in folders:
-        if args.sets and folder.name not in args.sets:
-            continue
         for row in evaluate(folder, args.landmarks, args.draws, args.lens_prior, args.rounds):
             yield (
                 f'| {row.name} | {row.variant} | {row.merged} | {row.landmarks:.0f} | '

@@ -18,7 +18,7 @@ from mapmerge_ros.arrays import Ids
 from mapmerge_ros.bundle import MapName, announce
 from mapmerge_ros.fusion import FusionConfig
 from mapmerge_ros.fusion.catalogues import ALONE, Tracks
-from mapmerge_ros.fusion.choice import ENOUGH, choose_landmarks
+from mapmerge_ros.fusion.choice import ENOUGH, _Selection, choose_landmarks
 from mapmerge_ros.fusion.offline import choose_for_bundles
 from mapmerge_ros.fusion.requests import plan_requests
 from mapmerge_ros.submap import SubMap
@@ -118,6 +118,30 @@ def mean_square_gap(ids: Ids, shared: Ids) -> float:
     """Mean square distance of the common points to the nearest chosen one [m²]."""
     chosen, wanted = SCENE[ids.astype(np.int64)], SCENE[shared.astype(np.int64)]
     return float(np.mean(cKDTree(chosen).query(wanted)[0] ** 2))
+
+
+class Plainly(_Selection):
+    """The same greedy choice with every value made anew for every step."""
+
+    def _cover(self) -> None:
+        turn = 1.0
+        while queue := self._queue():
+            self._take(self._takers(queue[0][1]), turn)
+            turn += 1.0
+
+
+@pytest.mark.parametrize('seed', range(12))
+def test_values_that_are_not_made_anew_are_those_that_cannot_have_risen(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A map that is full raises what others gain from what they share with it."""
+    fleet = random_fleet(seed)
+    budgets = [int(x) for x in np.random.default_rng(seed).integers(10, 90, len(fleet))]
+    chosen = choose_landmarks(fleet, tracks_by_id(fleet), budgets)
+    monkeypatch.setattr('mapmerge_ros.fusion.choice._Selection', Plainly)
+    plainly = choose_landmarks(fleet, tracks_by_id(fleet), budgets)
+    for own, other in zip(chosen, plainly, strict=True):
+        assert set(own.tolist()) == set(other.tolist())
 
 
 def test_the_choice_is_spread_better_than_chance() -> None:

@@ -10,7 +10,7 @@ from gaussian_merges import draw, merged, noise, scene
 from mapmerge_ros.fusion.contrasts import contrasts, matern
 from mapmerge_ros.fusion.covariance_model import COARSE_CONTRASTS, TEXTBOOK, fit_model
 from mapmerge_ros.fusion.honest import MAX_CONTRASTS, examine
-from mapmerge_ros.fusion.likelihood import derivatives, weigh
+from mapmerge_ros.fusion.likelihood import derivatives, step, weigh
 from mapmerge_ros.fusion.local import local_tests, sensitivity
 from mapmerge_ros.fusion.plausible import MAX_OMEGA_RADII
 from mapmerge_ros.fusion.quadratic import Members
@@ -250,4 +250,20 @@ def test_the_price_of_a_large_merge_is_that_of_its_own_errors():
         merge = merged(points, members, matrices, errors)
         assert len(contrasts(merge, MAX_CONTRASTS).tracks) > 2 * COARSE_CONTRASTS
         found = examine(merge, np.inf, certain=True)
-        assert found.price == pytest.approx(found.dof, rel=0.03)
+        assert found.price == pytest.approx(found.dof, rel=0.01)
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_variances_go_where_they_are_best_given_those_that_are_stopped(seed):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(5, 3))
+    information, variances = root.T @ root, rng.uniform(0.2, 2.0, 3)
+    gradient, highest = information @ rng.normal(size=3), np.array([6.0, 1.0, 1.5])
+    variances = np.minimum(variances, highest)
+    following = step(variances, gradient, information, highest)
+    limit = np.minimum(4.0 * variances + 0.1, highest)
+    assert (following >= 0.1 * variances - 1e-12).all()
+    assert (following <= limit + 1e-12).all()
+    inside = (following > 0.1 * variances + 1e-9) & (following < limit - 1e-9)
+    left = gradient - information @ (following - variances)
+    np.testing.assert_allclose(left[inside], 0.0, atol=1e-6 * np.abs(gradient).max())

@@ -13,6 +13,8 @@ from mapmerge_ros.submap import Descriptors, DescriptorType
 
 BLOCK = 4096
 """Pairs of descriptors that are compared at once: they stay in the cache."""
+BITS = np.array([number.bit_count() for number in range(256)], np.uint8)
+"""Bits that are set in each byte."""
 LARGEST_LOG_RATIO = 12.0
 """Of what a descriptor alone may say: the tails of a distribution learnt from few links lie."""
 
@@ -36,7 +38,14 @@ def distances(a: Descriptors, b: Descriptors, of_a: Ints, of_b: Ints) -> Floats:
 
 
 def _hamming(a: Bytes, b: Bytes) -> Floats:
-    return np.asarray(np.bitwise_count(a ^ b).sum(axis=1), np.float64)
+    return np.asarray(_bits(a ^ b).sum(axis=1), np.float64)
+
+
+def _bits(numbers: Bytes) -> Bytes:
+    """Bits that are set in each number, 0 to 255."""
+    if hasattr(np, 'bitwise_count'):  # NumPy 2
+        return np.asarray(np.bitwise_count(numbers))
+    return BITS[numbers]
 
 
 def _euclidean(a: Bytes, b: Bytes) -> Floats:

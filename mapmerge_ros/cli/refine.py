@@ -11,8 +11,6 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from scipy.spatial.transform import Rotation
-
 from mapmerge_ros.bundle.selection import matched
 from mapmerge_ros.cli import console, models, options
 from mapmerge_ros.cli.options import Subparsers, UsageError
@@ -20,6 +18,7 @@ from mapmerge_ros.cli.outputs import output_folder
 from mapmerge_ros.cli.replay import write_results
 from mapmerge_ros.fusion import Fusion
 from mapmerge_ros.fusion.refine import Robot, Round, refine
+from mapmerge_ros.geometry.rotations import as_rotation
 from mapmerge_ros.io import encode_submap
 from mapmerge_ros.io.summary import Traffic
 from mapmerge_ros.io.wording import verdict_sentences
@@ -88,7 +87,7 @@ def keyframes_csv(robots: Sequence[Robot], fusion: Fusion) -> bytes:
         S_global_map, bundle = frames[robot.name.map_id], robot.bundle
         centres = S_global_map.apply(bundle.centres_map())
         turns = S_global_map.rotation @ bundle.rotations_camera_map.transpose(0, 2, 1)
-        quaternions = Rotation.from_matrix(turns).as_quat()
+        quaternions = as_rotation(turns).as_quat()
         for row, keyframe_id in enumerate(bundle.keyframe_ids):
             numbers = [repr(float(value)) for value in (*centres[row], *quaternions[row])]
             writer.writerow([robot.name.map_id, int(keyframe_id), *numbers])

@@ -15,7 +15,6 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.sparse
 import scipy.sparse.csgraph
 
 from mapmerge_ros.arrays import Ids, Ints, Mask
@@ -23,6 +22,7 @@ from mapmerge_ros.fusion.catalogues import Tracks
 from mapmerge_ros.fusion.common import Common, find_common
 from mapmerge_ros.fusion.coverage import Coverage
 from mapmerge_ros.fusion.members import grouped, pairs_of_members
+from mapmerge_ros.geometry import sparse_graph
 from mapmerge_ros.submap import SubMap
 
 ENOUGH = 8
@@ -132,8 +132,7 @@ class _Selection:
         """Divide the room among the links of the forest, as far as it takes to hold them."""
         links, maps = self._links, len(self._room)
         both = np.concatenate([links.a, links.b]), np.concatenate([links.b, links.a])
-        graph = scipy.sparse.csr_array((-np.tile(links.counts, 2), both), shape=(maps, maps))
-        graph.sort_indices()
+        graph = sparse_graph(-np.tile(links.counts, 2), *both, maps)
         tree = scipy.sparse.csgraph.minimum_spanning_tree(graph).tocoo()
         low, high = np.minimum(tree.row, tree.col), np.maximum(tree.row, tree.col)
         served = np.searchsorted(links.a * maps + links.b, np.sort(low * maps + high))

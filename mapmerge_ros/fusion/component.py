@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -215,10 +214,8 @@ class _Task:
         return replace(state, verdict=verdict, examination=None)
 
     def _connected(self, association: Association) -> bool:
-        pairs = [link.a for link in self.links], [link.b for link in self.links]
-        counts = association.shared_counts()[pairs]
-        enough = (counts >= self.config.min_shared).tolist()
-        left = list(itertools.compress(self.links, enough))
+        shared = association.shared_counts().todok()
+        left = [link for link in self.links if shared[link.a, link.b] >= self.config.min_shared]
         return len(components(len(self.submaps), left)) == 1
 
 

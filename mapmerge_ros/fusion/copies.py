@@ -78,7 +78,7 @@ def _in_one_space(submaps: Sequence[SubMap], found: Correspondences) -> Iterator
         shape=(len(sizes), found.count),
     )
     common = scipy.sparse.triu(owned @ owned.T, 1).tocoo()
-    for a, b, count in zip(*common.coords, common.data, strict=True):
+    for a, b, count in zip(common.row, common.col, common.data, strict=True):
         space = submaps[int(a)].id_space
         is_one = space and space == submaps[int(b)].id_space
         if is_one and count >= max(MIN_COMMON, MIN_COMMON_SHARE * min(sizes[a], sizes[b])):

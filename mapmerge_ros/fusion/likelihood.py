@@ -93,23 +93,26 @@ def step(variances: Floats, gradient: Floats, information: Floats, highest: Floa
     Next variances within 0 … `highest`: Newton with the average information.
 
     A variance at a bound that wants to go beyond it is held there. None falls below a tenth of
-    what it was, nor rises beyond four times: the information is that of the old place.
+    what it was, nor rises beyond four times: the information is that of the old place. The others
+    go where they are best given those that were held or stopped.
     """
-    free = ~((variances <= LEAST) & (gradient <= 0.0))
-    free &= ~((variances >= highest) & (gradient >= 0.0))
-    wanted = np.where(variances <= LEAST, 0.0, variances)
+    is_nothing = variances <= LEAST
+    lowest = np.where(is_nothing, 0.0, 0.1 * variances)
+    limit = np.minimum(4.0 * variances + 0.1, highest)
+    free = ~(is_nothing & (gradient <= 0.0)) & ~((variances >= highest) & (gradient >= 0.0))
+    wanted = np.where(is_nothing, 0.0, np.minimum(variances, highest))
     while free.any():
-        at = np.flatnonzero(free)
+        at, held = np.flatnonzero(free), np.flatnonzero(~free)
         inner = information[np.ix_(at, at)]
         inner = inner + 1e-9 * np.diag(np.diag(inner))
-        wanted[at] = variances[at] + np.linalg.solve(inner, gradient[at])
-        stuck = free & (variances <= LEAST) & (wanted < 0.0)
-        if not stuck.any():
+        pull = gradient[at] - information[np.ix_(at, held)] @ (wanted - variances)[held]
+        wanted[at] = variances[at] + np.linalg.solve(inner, pull)
+        stopped = free & ((wanted < lowest) | (wanted > limit))
+        if not stopped.any():
             break
-        wanted[stuck] = 0.0
-        free &= ~stuck
-    bounded = np.clip(wanted, 0.1 * variances, 4.0 * variances + 0.1)
-    bounded[bounded <= LEAST] = 0.0
-    nothing = bounded[:2].sum() <= 0.0
-    bounded[0] = max(bounded[0], LEAST if nothing else 0.0)
-    return np.asarray(np.minimum(bounded, highest))
+        wanted[stopped] = np.clip(wanted, lowest, limit)[stopped]
+        free &= ~stopped
+    wanted[wanted <= LEAST] = 0.0
+    nothing = wanted[:2].sum() <= 0.0
+    wanted[0] = max(wanted[0], LEAST if nothing else 0.0)
+    return np.asarray(np.minimum(wanted, highest))

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse
 import scipy.sparse.csgraph
 import scipy.stats
 from scipy.spatial import cKDTree
@@ -191,8 +190,8 @@ def _alike(own: Sequence[_Displaced], reach: float) -> list[list[_Displaced]]:
     lengths = np.linalg.norm(shifts, axis=1)
     allowed = ALIKE * np.minimum(lengths[:, None], lengths)
     allowed += ALIKE_STD * np.sqrt(3.0 * (variance[:, None] + variance))
-    graph = scipy.sparse.csr_array((apart <= reach) & (differ <= allowed))
-    labels = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
+    related = (apart <= reach) & (differ <= allowed)
+    labels = scipy.sparse.csgraph.connected_components(related, directed=False)[1]
     return [
         [own[k] for k in np.flatnonzero(labels == label).tolist()] for label in np.unique(labels)
     ]

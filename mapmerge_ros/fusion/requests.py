@@ -117,9 +117,11 @@ def _lacking(
     counts = goal.data >= config.min_shared
     a, b = goal.row[counts], goal.col[counts]
     enough = config.request_coverage * goal.data[counts]
+    asked = np.zeros(len(submaps), bool)
+    if not len(a):
+        return asked
     known = (has.multiply(wants)).tocsr() @ wants.T
     lacks_a, lacks_b = known[a, b] < enough, known[b, a] < enough
-    asked = np.zeros(len(submaps), bool)
     while True:
         after = (wants.multiply(asked[:, None]) + has.multiply(~asked[:, None])).tocsr()
         short = (after @ after.T)[a, b] < enough

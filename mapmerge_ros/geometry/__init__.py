@@ -5,7 +5,7 @@
 from mapmerge_ros.geometry.alignment import Alignment, align, align_robustly
 from mapmerge_ros.geometry.extent import scene_radius
 from mapmerge_ros.geometry.gauge import Gauge, gauge_basis, generators
-from mapmerge_ros.geometry.graph import FrameGraph
+from mapmerge_ros.geometry.graph import FrameGraph, sparse_graph
 from mapmerge_ros.geometry.segments import (
     Alignments,
     Moments,
@@ -35,4 +35,5 @@ __all__ = [
     'generators',
     'scene_radius',
     'skew',
+    'sparse_graph',
 ]

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.csgraph
 
@@ -62,4 +63,18 @@ class FrameGraph:
 
     def _matrix(self) -> scipy.sparse.csr_array:
         ends = [a for a, _ in self.S_a_b], [b for _, b in self.S_a_b]
-        return scipy.sparse.csr_array((list(self.lengths), ends), shape=(self.count, self.count))
+        return sparse_graph(list(self.lengths), *ends, self.count)
+
+
+def sparse_graph(
+    lengths: npt.ArrayLike, first: npt.ArrayLike, second: npt.ArrayLike, count: int
+) -> scipy.sparse.csr_array:
+    """
+    Edges (n,) of a graph of `count` nodes as a matrix, rows and columns sorted.
+
+    Its indices are short: before SciPy 1.17 `scipy.sparse.csgraph` takes no others.
+    """
+    ends = np.asarray(first, np.int32), np.asarray(second, np.int32)
+    graph = scipy.sparse.csr_array((np.asarray(lengths), ends), shape=(count, count))
+    graph.sort_indices()
+    return graph

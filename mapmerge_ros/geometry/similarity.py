@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from mapmerge_ros.arrays import Floats, frozen
 from mapmerge_ros.errors import InvalidValue
+from mapmerge_ros.geometry.rotations import as_rotation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +50,7 @@ class Similarity:
 
     def log(self) -> Floats:
         """Tangent (7,) whose `exp` this is: rotation vector [rad], translation, log scale."""
-        rotvec, log_scale = Rotation.from_matrix(self.rotation).as_rotvec(), np.log(self.scale)
+        rotvec, log_scale = as_rotation(self.rotation).as_rotvec(), np.log(self.scale)
         translation = np.linalg.solve(_mixing(rotvec, log_scale), self.translation)
         return np.concatenate([rotvec, translation, [log_scale]])
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.bundle import Bundle, FramePrior, MapName
 from mapmerge_ros.errors import InvalidValue
+from mapmerge_ros.geometry.rotations import as_rotation
 from mapmerge_ros.io import fields
 from mapmerge_ros.io.fields import Factory, refusing
 from mapmerge_ros.io.raw_bundle import RawBundle
@@ -153,7 +154,7 @@ def bundle_to_message(named: NamedBundle, make: Factory) -> Any:
     """
     name, bundle = named.name, named.bundle
     with refusing('bundle', name.map_id):
-        turns = Rotation.from_matrix(bundle.rotations_camera_map).as_quat()
+        turns = as_rotation(bundle.rotations_camera_map).as_quat()
         poses = np.column_stack([turns, bundle.translations_camera_map])
         return make(
             BUNDLE,

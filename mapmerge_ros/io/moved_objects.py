@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.stats
-from scipy.spatial.transform import Rotation
 
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion import Change
 from mapmerge_ros.geometry import Gauge, align, skew
+from mapmerge_ros.geometry.rotations import as_rotation
 
 TURNED_LEVEL = 1e-3
 """p-value below which a turn is told: it is one of many that are looked at."""
@@ -103,7 +103,7 @@ def _turn(before: Floats, after: Floats, covariance: Floats) -> float:
         motion = align(after, before, gauge=Gauge.RIGID).S_target_source
     except DegenerateGeometry:
         return 0.0
-    vector = Rotation.from_matrix(motion.rotation).as_rotvec()
+    vector = as_rotation(motion.rotation).as_rotvec()
     variances, axes = np.linalg.eigh(covariance)
     if variances.max() < STILL_RAD**2:
         return 0.0

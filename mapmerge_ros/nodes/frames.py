@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from geometry_msgs.msg import Point, Quaternion, Transform, TransformStamped, Vector3
-from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.fusion import Fusion, MapAlignment, State
+from mapmerge_ros.geometry.rotations import as_rotation
 from mapmerge_ros.nodes.quality import LATCHED_PROFILE
 
 try:
@@ -107,5 +107,5 @@ def vector(values: Floats) -> Any:
 
 def quaternion(rotation: Floats) -> Any:
     """Quaternion of a rotation (3, 3)."""
-    x, y, z, w = map(float, Rotation.from_matrix(rotation).as_quat())
+    x, y, z, w = map(float, as_rotation(rotation).as_quat())
     return Quaternion(x=x, y=y, z=z, w=w)

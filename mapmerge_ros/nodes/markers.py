@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Pose, Vector3
-from scipy.spatial.transform import Rotation
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.fusion import Fusion, MapAlignment, State
 from mapmerge_ros.geometry import scene_radius
+from mapmerge_ros.geometry.rotations import as_rotation
 from mapmerge_ros.io.palette import SHARED, Rgb
 from mapmerge_ros.nodes.cloud import robot_colours
 from mapmerge_ros.nodes.frames import point, quaternion, vector
@@ -163,4 +163,4 @@ def axes(covariance: Floats, largest: float) -> tuple[Floats, Floats]:
     # A flat ellipsoid is not drawn at all; one of no thickness is refused by RViz.
     half = np.clip(half, 1e-6 * largest, largest)
     rotation = vectors * np.sign(np.linalg.det(vectors))
-    return 2.0 * half, Rotation.from_matrix(rotation).as_matrix()
+    return 2.0 * half, as_rotation(rotation).as_matrix()

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from mapmerge_ros.arrays import Floats
 from mapmerge_ros.bundle import Bundle, FramePrior
 from mapmerge_ros.geometry import Gauge, Similarity
+from mapmerge_ros.geometry.rotations import as_rotation
 
 SCALE_RANGE = (0.5, 2.0)
 """Map units per metre of a monocular map: whatever its first baseline was."""
@@ -58,7 +59,7 @@ def anchored(bundle: Bundle, reference: Bundle) -> Bundle:
     quantities that the rows of the frame prior are about (see `bundle.linearise`).
     """
     turns = reference.rotations_camera_map.transpose(0, 2, 1) @ bundle.rotations_camera_map
-    rotation = Rotation.from_matrix(turns).mean().as_matrix()
+    rotation = as_rotation(turns).mean().as_matrix()
     centres, wanted = bundle.centres_map(), reference.centres_map()
     turned = (centres - centres.mean(axis=0)) @ rotation.T
     extent = float(np.sum(turned**2))

@@ -24,7 +24,7 @@ OFF_MIDDLE = 1.0 / 6.0
 Share of the maps by which a cut may miss their middle.
 
 Rows of a grid are not of equal length when they lie askew, and a cut along a row is the shortest:
-a fifth of the operations at 64 drones, an eighth at 1024, against cuts in equal halves.
+against equal halves it saves a fifth of the elimination at 64 drones, an eighth at 1024.
 """
 
 
@@ -93,7 +93,7 @@ def _cut(places: Ints, weights: Floats, count: int) -> tuple[int, int]:
     each = np.repeat(weights, directions)
     opened, closed = (np.bincount(end.ravel(), each, count * directions) for end in (start, stop))
     cut = np.cumsum((opened - closed).reshape(directions, count), axis=1)
-    off = int(OFF_MIDDLE * count) if count > 3 else 0
+    off = int(OFF_MIDDLE * count)
     left = np.arange(count // 2 - off, count - count // 2 + off + 1)
     # One more: where nothing is cut, the middle is best.
     ratios = (1.0 + cut[:, left - 1]) / (left * (count - left))

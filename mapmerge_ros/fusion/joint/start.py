@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from mapmerge_ros.arrays import Floats, Mask
 from mapmerge_ros.fusion.joint.cost import JointCost
-from mapmerge_ros.geometry import Gauge, Similarities, Similarity, generators
+from mapmerge_ros.geometry import Gauge, Similarities, Similarity, generators, sparse_graph
 
 STEPS = 6
 """Gauss-Newton steps over the frames at most; 64 drones take three, 1024 five."""
@@ -124,9 +124,7 @@ def _as_matrices(cost: JointCost, *each: Floats) -> list[scipy.sparse.bsr_array]
 
 def _solve_banded(matrix: scipy.sparse.coo_array, right: Floats) -> Floats:
     """Solve with frames in the order of Cuthill & McKee; nan where that fails."""
-    graph = scipy.sparse.csr_array(
-        (np.ones(matrix.nnz), (matrix.row // 7, matrix.col // 7)), shape=(len(right) // 7,) * 2
-    )
+    graph = sparse_graph(np.ones(matrix.nnz), matrix.row // 7, matrix.col // 7, len(right) // 7)
     order = scipy.sparse.csgraph.reverse_cuthill_mckee(graph, symmetric_mode=True)
     place = np.empty(len(right), np.int64)
     place[(7 * order[:, None] + np.arange(7)).ravel()] = np.arange(len(right))
