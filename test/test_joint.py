@@ -135,6 +135,26 @@ def test_the_factor_that_is_kept_is_the_matrix_of_the_shared_landmarks(fleets, g
     np.testing.assert_allclose(solved, wanted, atol=0.02 * np.abs(wanted).max())
 
 
+@pytest.mark.parametrize('gauges', CASES, ids=IDS)
+def test_a_state_in_another_frame_is_that_of_the_moved_landmarks(fleets, gauges):
+    submaps, association, _, cost = case(fleets, gauges)
+    points = cost.recover_private(merged(submaps, association, cost).points, association.count)
+    gauge = min(submap.gauge for submap in submaps)
+    S_new_global = random_similarity(np.random.default_rng(4), gauge)
+    wanted, found = (
+        cost.evaluate(S_new_global.apply(points)),
+        cost.evaluate(points).after(S_new_global),
+    )
+    assert found.cost == pytest.approx(wanted.cost, rel=1e-7)
+    for name in ('points', 'moved', 'moments', 'stretches', 'centres'):
+        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), atol=1e-7)
+    scale = np.abs(wanted.slopes).max()
+    np.testing.assert_allclose(found.slopes, wanted.slopes, atol=1e-6 * scale)
+    frames, others = found.S_map_globals, wanted.S_map_globals
+    np.testing.assert_allclose(frames.linear(), others.linear(), atol=1e-8)
+    np.testing.assert_allclose(frames.translations, others.translations, atol=1e-7)
+
+
 def test_a_factor_kept_in_float32_still_is_one_of_a_positive_definite_matrix(fleets):
     """Kept in half the memory it answers alike, in the softest direction too."""
     submaps, association, _, cost = case(fleets, CASES[0])

@@ -20,6 +20,7 @@ from mapmerge_ros.arrays import Floats
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.element import Element, Placement, coordinates
+from mapmerge_ros.fusion.joint.cost import State
 from mapmerge_ros.fusion.joint.factor import Carried
 from mapmerge_ros.geometry import Gauge, gauge_basis
 
@@ -42,6 +43,8 @@ class Estimate:
     """Starts that were tried to find it"""
     matrix: Carried | None = None
     """Factor of the last Gauss-Newton matrix, where it is small enough to be kept"""
+    state: State | None = None
+    """Frames and costs at the optimum, where `joint.minimise` found it"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -93,14 +93,21 @@ def solve(
         resume(reduced, members, last) if last else None,
     )
     warm.learn_merge(Resumable(members, estimate.points, estimate.matrix))
-    points = cost.recover_private(estimate.points, association.count)
+    state = estimate.state if reduced is cost else None
+    if state is None:
+        state = cost.evaluate(cost.recover_private(estimate.points, association.count))
     held = [submap.map_id for submap in submaps].index(anchor.map_id)
-    S_global_estimate = anchor.S_global_map @ cost.frames(points)[held]
+    S_global_estimate = anchor.S_global_map @ state.S_map_globals[held]
     return Solution(
         cost,
         reduced,
-        cost.evaluate(S_global_estimate.apply(points)),
-        replace(estimate, points=S_global_estimate.apply(estimate.points), matrix=None),
+        state.after(S_global_estimate),
+        replace(
+            estimate,
+            points=S_global_estimate.apply(estimate.points),
+            matrix=None,
+            state=None,
+        ),
         dof,
         tuple(np.flatnonzero(is_shared[own]) for own in association.tracks),
         members,

@@ -9,7 +9,7 @@ The cost of all sub-maps together, stacked: what `Element` says of one, for all 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,7 +17,14 @@ from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import Element
 from mapmerge_ros.fusion.joint.root import Root, scratch_size
-from mapmerge_ros.geometry import Gauge, Moments, Segments, Similarities, align_moments
+from mapmerge_ros.geometry import (
+    Gauge,
+    Moments,
+    Segments,
+    Similarities,
+    Similarity,
+    align_moments,
+)
 from mapmerge_ros.submap import LandmarkInformation, SubMap
 
 
@@ -41,6 +48,17 @@ class State:
     """(rows, 3) R'(R y' + c): derivative of half the cost by the displacement"""
     cost: float
     """Σ |R y' + c|², px²"""
+
+    def after(self, S_new_global: Similarity) -> State:
+        """Return the same in another global frame; what is said in the maps' frames stays."""
+        S_global_new = S_new_global.inverse()
+        frames = self.S_map_globals
+        moved = Similarities(
+            S_global_new.scale * frames.scales,
+            frames.rotations @ S_global_new.rotation,
+            frames.linear() @ S_global_new.translation + frames.translations,
+        )
+        return replace(self, points=S_new_global.apply(self.points), S_map_globals=moved)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -140,11 +140,15 @@ def minimise(
         promises.append(promised)
         if _left(promises) <= enough:
             kept = matrix.kept(carried)
-            return Estimate(state.points, state.cost, iteration, True, tuple(history), matrix=kept)
+            return Estimate(
+                state.points, state.cost, iteration, True, tuple(history), matrix=kept, state=state
+            )
         if matrix.damping or _is_outdated(promises, enough, own, matrix):
             matrix.renew()
             promises, own = [], True
-    return Estimate(state.points, state.cost, config.max_iterations, False, tuple(history))
+    return Estimate(
+        state.points, state.cost, config.max_iterations, False, tuple(history), state=state
+    )
 
 
 def _left(promises: list[float]) -> float:
