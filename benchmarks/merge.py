@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -24,12 +23,15 @@ from merge_compression import compression
 from merge_kinds import KINDS
 from merge_steps import Values
 from merge_tables import draw, tables
-from own_process import THREADS, memory_growth, run_apart
+from own_process import memory_growth, run_apart
 from workloads import DRONES, Workload, cached, workload
 
 from mapmerge_ros.fusion import fuse
 
 MARK = 'tables of benchmarks/merge.py'
+
+COMPRESSION = 'compression'
+"""A kind that is not about a size"""
 
 NOT_OF: dict[str, tuple[str, ...]] = {
     'S3': ('dense',),
@@ -74,7 +76,8 @@ def all_of(sizes: list[str], folder: Path, repeats: int) -> dict[str, Any]:
             if kind not in NOT_OF.get(name, ()):
                 found[kind] = measure(kind, name, folder, repeats)
                 print(json.dumps({name: {kind: found[kind]}}), file=sys.stderr, flush=True)
-    results['compression'] = compression(repeats)
+    arguments = ['--run', COMPRESSION, '--repeats', str(repeats)]
+    results[COMPRESSION] = run_apart(__file__, *arguments)
     return results
 
 
@@ -87,8 +90,11 @@ def main() -> None:
     parser.add_argument('--json', type=Path, help='all values')
     parser.add_argument('--markdown', type=Path, help='page whose tables at the end are renewed')
     parser.add_argument('--figure', type=Path, help='time and memory over the number of drones')
-    parser.add_argument('--run', choices=KINDS, help=argparse.SUPPRESS)
+    parser.add_argument('--run', choices=(*KINDS, COMPRESSION), help=argparse.SUPPRESS)
     args = parser.parse_args()
+    if args.run == COMPRESSION:
+        print(json.dumps(compression(args.repeats)))
+        return
     if args.run:
         print(json.dumps(run(args.run, args.sizes[0], args.cache, args.repeats)))
         return
@@ -106,6 +112,4 @@ def main() -> None:
 
 
 if __name__ == '__main__':
-    for variable, value in THREADS.items():
-        os.environ.setdefault(variable, value)
     main()

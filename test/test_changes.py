@@ -105,8 +105,13 @@ def test_the_frames_in_which_the_rounds_are_merged_do_not_matter(monkeypatch):
     def turned(*args: object) -> Estimate:
         rounds.append(search(*args))
         tangent = len(rounds) * np.array([0.4, -0.9, 0.7, 3.0, -2.0, 1.0, 0.3])
-        points = Similarity.exp(tangent).apply(rounds[-1].points)
-        return replace(rounds[-1], points=points, matrix=None)
+        S_turned_found, state = Similarity.exp(tangent), rounds[-1].state
+        return replace(
+            rounds[-1],
+            points=S_turned_found.apply(rounds[-1].points),
+            matrix=None,
+            state=state and state.after(S_turned_found),
+        )
 
     submaps = moved_fleet(1).submaps()
     expected = fuse(submaps).changes
