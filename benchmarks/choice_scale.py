@@ -18,6 +18,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +31,8 @@ from mapmerge_ros.association import number_by_id
 from mapmerge_ros.fusion import FusionConfig
 from mapmerge_ros.fusion.catalogues import Tracks
 from mapmerge_ros.fusion.requests import plan_requests
-from mapmerge_ros.geometry import Gauge
-from mapmerge_ros.submap import Descriptors, Source, SubMap
+from mapmerge_ros.simulation.announcement import announcement
+from mapmerge_ros.submap import Descriptors, SubMap
 
 LANDMARKS = 1000
 
@@ -59,26 +60,12 @@ def catalogues(robots: int, landmarks: int = LANDMARKS) -> list[SubMap]:
 def _catalogue(name: str, ids: Ints, points: Floats) -> SubMap:
     variances = np.zeros((len(ids), 6), np.float32)
     variances[:, [0, 3, 5]] = np.random.default_rng(ids).uniform(1e-8, 1e-6, (len(ids), 1))
-    return SubMap(
-        map_id=name,
-        robot_id=name,
-        revision=1,
-        stamp_ns=1,
-        frame_id=name,
-        sources=(Source(name, 1),),
-        gauge=Gauge.SIMILARITY,
+    nothing = Descriptors.none(len(ids))
+    return replace(
+        announcement(name, points, nothing.rows, kind=nothing.type),
         id_space='square',
         landmark_ids=ids.astype(np.uint64),
-        points=points,
         covariances=variances,
-        compressed_count=0,
-        a=1.0,
-        packed_r=np.zeros(0, np.float32),
-        c=np.zeros(0),
-        residual_count=4000,
-        dof=500,
-        sigma=0.5,
-        descriptors=Descriptors.none(len(ids)),
     )
 
 

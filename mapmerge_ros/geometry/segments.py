@@ -113,6 +113,14 @@ class Similarities:
             np.where(chosen[:, None], self.translations, others.translations),
         )
 
+    def before(self, S_source_new: Similarity) -> Similarities:
+        """S_target_source @ S_source_new for each."""
+        return Similarities(
+            S_source_new.scale * self.scales,
+            self.rotations @ S_source_new.rotation,
+            self.linear() @ S_source_new.translation + self.translations,
+        )
+
     def after(self, S_new_target: Similarity) -> Similarities:
         """S_new_target @ S_target_source for each."""
         return Similarities(

@@ -51,14 +51,11 @@ class State:
 
     def after(self, S_new_global: Similarity) -> State:
         """Return the same in another global frame; what is said in the maps' frames stays."""
-        S_global_new = S_new_global.inverse()
-        frames = self.S_map_globals
-        moved = Similarities(
-            S_global_new.scale * frames.scales,
-            frames.rotations @ S_global_new.rotation,
-            frames.linear() @ S_global_new.translation + frames.translations,
+        return replace(
+            self,
+            points=S_new_global.apply(self.points),
+            S_map_globals=self.S_map_globals.before(S_new_global.inverse()),
         )
-        return replace(self, points=S_new_global.apply(self.points), S_map_globals=moved)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

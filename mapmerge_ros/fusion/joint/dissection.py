@@ -63,10 +63,10 @@ def dissect(places: Floats, maps: Ints, tracks: Ints) -> Tree:
             return
         own = order[low:high]
         ranked = own[np.argsort(keys[own], axis=0, kind='stable')]
-        places_of[ranked, range(keys.shape[1])] = np.arange(len(own))[:, None]
         joined = ends[:, links]
         direction, left = 0, 1
         if len(own) > 2:
+            places_of[ranked, range(keys.shape[1])] = np.arange(len(own))[:, None]
             direction, left = _cut(places_of[joined], shared.data[links], len(own))
         middle = low + left
         order[low:high] = ranked[:, direction]

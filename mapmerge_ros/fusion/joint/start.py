@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from mapmerge_ros.arrays import Floats, Mask
 from mapmerge_ros.fusion.joint.cost import JointCost
+from mapmerge_ros.fusion.members import grouped
 from mapmerge_ros.geometry import Gauge, Similarities, Similarity, generators, sparse_graph
 
 STEPS = 6
@@ -116,8 +117,7 @@ def _steps(cost: JointCost, frames: Similarities, free: Mask) -> Floats:
 
 def _as_matrices(cost: JointCost, *each: Floats) -> list[scipy.sparse.bsr_array]:
     """Values (rows, 3, 7) of members, each as a matrix (3 tracks, 7 maps)."""
-    order = np.argsort(cost.tracks, kind='stable')
-    ends = np.concatenate([[0], np.cumsum(np.bincount(cost.tracks))])
+    order, ends = grouped(cost.tracks, cost.count)
     maps, shape = cost.segments.owners[order], (3 * cost.count, 7 * len(cost))
     return [scipy.sparse.bsr_array((values[order], maps, ends), shape=shape) for values in each]
 
