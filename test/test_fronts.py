@@ -7,35 +7,46 @@ import pytest
 
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.joint.dissection import OFF_MIDDLE, dissect
+from mapmerge_ros.fusion.joint.factor import Change
 from mapmerge_ros.fusion.joint.factorise import SMALL, _invert, factorise
 from mapmerge_ros.fusion.joint.fronts import plan_fronts
 
 
-def test_the_factor_solves_and_its_order_does_not_matter():
-    """Random elements on random maps: any tree, any landmarks last, gives the same answer."""
-    rng = np.random.default_rng(5)
-    count, maps = 90, 9
-    tracks = [np.sort(rng.choice(count, 27, replace=False)) for _ in range(maps)]
-    tracks[0] = np.union1d(tracks[0], np.setdiff1d(np.arange(count), np.concatenate(tracks)))
-    roots = [rng.normal(size=(3 * len(own) + 5, 3 * len(own))) for own in tracks]
-    dense = np.zeros((3 * count, 3 * count))
-    for own, root in zip(tracks, roots, strict=True):
-        at = (3 * own[:, None] + np.arange(3)).ravel()
-        dense[np.ix_(at, at)] += root.T @ root
-    right = rng.normal(size=(3 * count, 2))
+class MadeUp:
+    """Random elements on random maps."""
 
-    def element(k, order, out):
+    def __init__(self, rng, count=90, maps=9):
+        self.count, self.maps = count, maps
+        self.tracks = [np.sort(rng.choice(count, 27, replace=False)) for _ in range(maps)]
+        others = np.setdiff1d(np.arange(count), np.concatenate(self.tracks))
+        self.tracks[0] = np.union1d(self.tracks[0], others)
+        self.roots = [rng.normal(size=(3 * len(own) + 5, 3 * len(own))) for own in self.tracks]
+        self.dense = np.zeros((3 * count, 3 * count))
+        for own, root in zip(self.tracks, self.roots, strict=True):
+            at = coordinates(own)
+            self.dense[np.ix_(at, at)] += root.T @ root
+
+    def element(self, k, order, out):
         at = coordinates(order)
-        out[...] = (roots[k].T @ roots[k])[np.ix_(at, at)]
+        out[...] = (self.roots[k].T @ self.roots[k])[np.ix_(at, at)]
 
-    owners = np.repeat(np.arange(maps), [len(own) for own in tracks])
-    for seed, last in ((1, None), (2, rng.random(count) < 0.4), (3, np.ones(count, bool))):
-        places = np.random.default_rng(seed).normal(size=(maps, 3))
-        tree = dissect(places, owners, np.concatenate(tracks))
-        assert sorted(tree.order) == list(range(maps))
-        factor = factorise(plan_fronts(tree, tracks, count, last), element)
-        np.testing.assert_allclose(factor.solve(right), np.linalg.solve(dense, right), atol=1e-9)
-        inverse = np.linalg.inv(dense)
+    def fronts(self, seed, last=None):
+        places = np.random.default_rng(seed).normal(size=(self.maps, 3))
+        owners = np.repeat(np.arange(self.maps), [len(own) for own in self.tracks])
+        tree = dissect(places, owners, np.concatenate(self.tracks))
+        assert sorted(tree.order) == list(range(self.maps))
+        return plan_fronts(tree, self.tracks, self.count, last)
+
+
+def test_the_factor_solves_and_its_order_does_not_matter():
+    """Any tree, any landmarks last, gives the same answer."""
+    rng = np.random.default_rng(5)
+    made = MadeUp(rng)
+    right = rng.normal(size=(3 * made.count, 2))
+    inverse = np.linalg.inv(made.dense)
+    for seed, last in ((1, None), (2, rng.random(made.count) < 0.4), (3, np.ones(90, bool))):
+        factor = factorise(made.fronts(seed, last), made.element)
+        np.testing.assert_allclose(factor.solve(right), inverse @ right, atol=1e-9)
         for front, block in factor.inverse_blocks():
             np.testing.assert_allclose(block, inverse[np.ix_(front.rows, front.rows)], atol=1e-9)
 
@@ -107,3 +118,28 @@ def test_rows_of_unequal_length_are_cut_between_rows():
     _, middle, _ = tree.spans[-1]
     parts = [sorted(part.tolist()) for part in (tree.order[:middle], tree.order[middle:])]
     assert sorted(parts) == [list(range(9)), list(range(9, 16))]
+
+
+def test_a_changed_element_changes_the_answer_of_the_old_factor():
+    """Against dense algebra; all coordinates of the element, and all but some of them."""
+    rng = np.random.default_rng(7)
+    made = MadeUp(rng)
+    fronts, dense = made.fronts(1), made.dense
+    factor = factorise(fronts, made.element)
+    inverses = {front.leaf: block for front, block in factor.inverse_blocks() if front.leaf >= 0}
+    for leaf, part in ((0, slice(None)), (4, slice(6, None))):
+        path = fronts.path(leaf)
+        front = fronts.fronts[path[0]]
+        assert path[-1] == len(fronts.fronts) - 1
+        rows = front.rows[part]
+        step = rng.normal(size=(len(rows), len(rows)))
+        difference = 0.3 * (step + step.T)
+        changed = dense.copy()
+        changed[np.ix_(rows, rows)] += difference
+        through = np.eye(len(rows)) + inverses[leaf][part, part] @ difference
+        response = difference @ np.linalg.inv(through)
+        change = Change(path, front.places[part], response)
+        right = rng.normal(size=(len(dense), 2))
+        wanted = np.linalg.solve(changed, right)
+        assert np.abs(factor.solve(right) - wanted).max() > 1e-3 * np.abs(wanted).max()
+        np.testing.assert_allclose(factor.solve(right, change), wanted, rtol=1e-8, atol=1e-10)

@@ -54,7 +54,8 @@ class Solution:
         the optimum it saves half of the steps that the factor of the merge's start would need.
         """
         shared = np.unique(self.cost.tracks[self.cost.is_shared])
-        return Resumable(self.members, self.state.points[shared], Carried(factor, shared))
+        carried = Carried(factor, shared)
+        return Resumable(self.members, self.state.points[shared], carried, self.reduced)
 
 
 def solve(

@@ -157,6 +157,20 @@ class JointCost:
             ),
         )
 
+    def only(self, k: int) -> JointCost:
+        """Return the cost of one sub-map, its landmarks numbered as it has them."""
+        rows = self.segments.rows(k)
+        return JointCost(
+            gauges=self.gauges[[k]],
+            segments=Segments.of_lengths([rows.stop - rows.start]),
+            tracks=np.arange(rows.stop - rows.start),
+            points_map=self.points_map[rows],
+            weights=self.weights[rows],
+            information=self.information[rows],
+            is_shared=self.is_shared[rows],
+            roots=(self.roots[k],),
+        )
+
     def evaluate(self, points: Floats) -> State:
         """
         Place every map on the global landmarks (tracks, 3).

@@ -17,6 +17,7 @@ from mapmerge_ros.fusion.joint.factor import Factor
 from mapmerge_ros.fusion.joint.factorise import factorise
 from mapmerge_ros.fusion.joint.fronts import Front
 from mapmerge_ros.fusion.joint.minimise import gauss_newton, plan
+from mapmerge_ros.fusion.joint.replaced import packed
 from mapmerge_ros.geometry import Gauge, Similarity, gauge_basis
 
 
@@ -67,6 +68,7 @@ class Gathering:
         self._landmarks = np.empty((len(state.points), 3, 3))
         self._frames = np.empty((len(cost), 7, 7))
         self._by_points = _FramesByPoints(cost, state)
+        self._leaves: dict[int, Floats] = {}
 
     def take(self, front: Front, block: Floats) -> None:
         """Take note of the inverse (k + b, k + b) on a front."""
@@ -77,6 +79,8 @@ class Gathering:
         free = block[: len(own), : len(own)] + n @ (self._inner @ n.T - z.T) - z @ n.T
         _take_landmarks(front, free, self._landmarks)
         if front.leaf >= 0:
+            if self._factor.fits:
+                self._leaves[front.leaf] = packed(block)
             derivative = self._by_points(front.leaf, front.leaf_order)
             self._frames[front.leaf] = derivative @ free @ derivative.T
 
@@ -87,7 +91,10 @@ class Gathering:
         The matrix that was factorised is the inverse covariance; times the square of `scale` it is
         the Gauss-Newton matrix.
         """
-        kept = self._factor.rounded(scale) if self._factor.fits else None
+        kept = None
+        if self._factor.fits:
+            leaves = {k: leaf / np.float32(scale) ** 2 for k, leaf in self._leaves.items()}
+            kept = self._factor.rounded(scale, leaves)
         return Uncertainty(self._landmarks, self._frames, kept)
 
 

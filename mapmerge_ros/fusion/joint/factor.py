@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg.blas import dtrmm, dtrmv, strmm, strmv
@@ -49,17 +49,19 @@ class Factor:
     """Where the blocks lie"""
     root: Floats | None = None
     """(n, n) what is left of the matrix for the rows of the root's front, when kept"""
+    leaves: dict[int, Floats] = field(default_factory=dict)
+    """Per sub-map the inverse on the rows of its front, a packed lower triangle, where known"""
 
     @property
     def fits(self) -> bool:
         """Whether it is small enough to be kept until the next merge."""
         return len(self.storage) <= LARGEST_KEPT
 
-    def rounded(self, scale: float = 1.0) -> Factor:
+    def rounded(self, scale: float, leaves: dict[int, Floats]) -> Factor:
         """
         Copy in float32, without what is left at the root: for steps of a later merge.
 
-        It is the factor of the matrix times the square of `scale`.
+        It is the factor of the matrix times the square of `scale`; `leaves` are of that one too.
         """
         storage, blocks, used = np.empty(len(self.storage), np.float32), list[Block](), 0
         for front, exact in zip(self.fronts.fronts, self.blocks, strict=False):
@@ -68,13 +70,19 @@ class Factor:
             block.inverse[...], block.below[...] = exact.inverse / scale, exact.below * scale
             blocks.append(block)
             used += len(front.rows) * front.eliminated
-        return Factor(self.fronts, tuple(blocks), storage)
+        return Factor(self.fronts, tuple(blocks), storage, leaves=leaves)
 
-    def solve(self, right: Floats) -> Floats:
-        """Solve for right-hand sides (size, m)."""
+    def solve(self, right: Floats, change: Change | None = None) -> Floats:
+        """Solve for right-hand sides (size, m), with the matrix as it is after a change."""
         solved = self._sorted(right)
         self._forward(solved)
-        self._backward(solved)
+        if change:
+            moved, answer = solved.copy(), np.zeros_like(solved)
+            self._backward(moved, change.path)
+            answer[change.places] = change.response @ moved[change.places]
+            self._forward(answer)
+            solved -= answer
+        self._backward(solved, range(len(self.blocks)))
         return self._unsorted(solved, right)
 
     def forward(self, right: Floats) -> Floats:
@@ -102,9 +110,10 @@ class Factor:
                 if len(front.boundary):
                     solved[front.boundary] -= block.below @ solved[own]
 
-    def _backward(self, solved: Floats) -> None:
-        fronts = self.fronts.fronts[: len(self.blocks)]
-        for front, block in zip(reversed(fronts), reversed(self.blocks), strict=True):
+    def _backward(self, solved: Floats, nodes: Sequence[int]) -> None:
+        """Solve for what these fronts eliminate: with a front, all above it."""
+        for node in reversed(nodes):
+            front, block = self.fronts.fronts[node], self.blocks[node]
             if front.eliminated:
                 own = slice(front.start, front.start + front.eliminated)
                 right = solved[own]
@@ -130,12 +139,31 @@ class Factor:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """
+    What another matrix of one sub-map does to the inverse (Woodbury 1950).
+
+    With A = L L' + E D E', E the columns of the sub-map and S = E' (L L')^-1 E,
+    A^-1 g = (L L')^-1 (g - E D (1 + S D)^-1 E' (L L')^-1 g).
+    """
+
+    path: Sequence[int]
+    """Fronts from that of the sub-map up to the root"""
+    places: Ints
+    """(m,) places of the sub-map's coordinates in the order of elimination"""
+    response: Floats
+    """(m, m) D (1 + S D)^-1"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Carried:
     """A factor that was made for another numbering of the landmarks, perhaps with others."""
 
     factor: Factor
     numbers: Ints
     """(tracks,) number of each landmark in the factor"""
+    change: Change | None = None
+    """Of one sub-map, since then"""
 
     @property
     def fronts(self) -> Fronts:
@@ -146,7 +174,8 @@ class Carried:
         """Solve for a right-hand side (3 tracks,); what is gone has none."""
         old = np.zeros((self.factor.fronts.size // 3, 3))
         old[self.numbers] = right.reshape(-1, 3)
-        return self.factor.solve(old.ravel()).reshape(-1, 3)[self.numbers].ravel()
+        solved = self.factor.solve(old.ravel(), self.change)
+        return solved.reshape(-1, 3)[self.numbers].ravel()
 
 
 def _times_lower(lower: Floats, right: Floats, transposed: int = 0) -> Floats:

@@ -43,6 +43,11 @@ class Front:
     depth: int
     """Fronts above it"""
 
+    @property
+    def places(self) -> Ints:
+        """(k + b,) places of all in the order of elimination."""
+        return np.concatenate([self.start + np.arange(self.eliminated), self.boundary])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fronts:
@@ -77,6 +82,14 @@ class Fronts:
         """Numbers that one step reads: the factor forwards and backwards, R of every sub-map."""
         triangles = sum(len(front.rows) ** 2 // 2 for front in self.fronts if front.leaf >= 0)
         return 2 * self.storage + triangles
+
+    def path(self, leaf: int) -> tuple[int, ...]:
+        """Fronts from that of a sub-map up to the root."""
+        nodes = [next(node for node, front in enumerate(self.fronts) if front.leaf == leaf)]
+        for node in range(nodes[0] + 1, len(self.fronts)):
+            if nodes[-1] in self.fronts[node].children:
+                nodes.append(node)
+        return tuple(nodes)
 
     @property
     def largest(self) -> int:

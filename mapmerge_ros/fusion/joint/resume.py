@@ -11,9 +11,13 @@ import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.fusion.joint.cost import JointCost
-from mapmerge_ros.fusion.joint.factor import Carried
+from mapmerge_ros.fusion.joint.factor import Carried, Change
+from mapmerge_ros.fusion.joint.replaced import Member, change
 from mapmerge_ros.fusion.joint.start import mean_of_members
 from mapmerge_ros.geometry import align_segments
+
+HIGHEST_PRICE = 1.0
+"""Steps of the merge that a change of the old factor may cost: it saves two or three."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +47,8 @@ class Resumable:
     """(tracks, 3) where its landmarks came to lie"""
     matrix: Carried | None
     """Factor of its Gauss-Newton matrix; None where that would take too much memory"""
+    cost: JointCost | None = None
+    """Of its shared landmarks, where the factor was made at its optimum"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,8 +72,7 @@ def resume(cost: JointCost, members: Members, last: Resumable) -> Start | None:
     known = before >= 0
     points[known] = last.points[before[known]]
     if known.all():
-        carried = last.matrix and Carried(last.matrix.factor, last.matrix.numbers[before])
-        return Start(points, carried)
+        return Start(points, last.matrix and _carried(cost, members, points, before, last))
     while not known.all():
         weights = np.where(known[cost.tracks], cost.weights, 0.0)
         placed = align_segments(
@@ -85,6 +90,39 @@ def resume(cost: JointCost, members: Members, last: Resumable) -> Start | None:
         points[seen & ~known] = means[seen & ~known]
         known |= seen
     return Start(points, None)
+
+
+def _carried(
+    cost: JointCost, members: Members, points: Floats, before: Ints, last: Resumable
+) -> Carried:
+    """Factor of the last merge for landmarks that had these numbers in it."""
+    assert last.matrix is not None
+    numbers = last.matrix.numbers[before]
+    found = _replaced(cost, members, points, numbers, last)
+    return Carried(last.matrix.factor, numbers, found)
+
+
+def _replaced(
+    cost: JointCost, members: Members, points: Floats, numbers: Ints, last: Resumable
+) -> Change | None:
+    """
+    What it does to the factor that one sub-map was replaced; None if it was not just one.
+
+    Of several, how they bear on each other would have to be known; with each for itself it takes a
+    step less at best, which is what it costs.
+    """
+    names = last.members.map_ids
+    if last.cost is None or last.matrix is None or sorted(names) != sorted(members.map_ids):
+        return None
+    changed: list[tuple[Member, Member]] = []
+    for k, name in enumerate(members.map_ids):
+        old = Member(last.cost, names.index(name), last.points, last.matrix.numbers)
+        new = Member(cost, k, points, numbers)
+        if not new.says_the_same(old):
+            changed.append((old, new))
+    if len(changed) != 1 or changed[0][0].price_in_steps(last.matrix.fronts) > HIGHEST_PRICE:
+        return None
+    return change(last.matrix.factor, *changed[0])
 
 
 def _before(new: Members, old: Members, count: int) -> Ints:
