@@ -61,16 +61,13 @@ def bundle(load: Workload, repeats: int) -> Values:
 COLUMNS = 10
 """Of Ceres' table of steps: number, cost, six others, seconds of the step and of all so far."""
 
-REFINED = 16
-"""Drones up to which a round of refinement is tried: it compresses to all landmarks."""
-
 
 def accuracy(load: Workload, repeats: int) -> Values:
     """
     Error to the truth over that of the full bundle, over pairs of draws with opposite noise.
 
-    How far the merge is apart from the bundle, before and after one round with the robots, is that
-    over the error of the bundle as well.
+    Before and after one round with the robots; how far apart from the bundle the landmarks are is
+    over its error as well.
     """
     count = len(load.submaps)
     pairs = ACCURACY_PAIRS.get(load.name, repeats) if count == DRONES[load.name] else repeats
@@ -81,19 +78,24 @@ def accuracy(load: Workload, repeats: int) -> Values:
         ids, points = ids_of_tracks(one, association), solution.state.points
         truth, solved = one.points_world(ids), _adjusted(one, {}).bundle
         full = solved.points[solved.rows_of(ids)]
-        refined = _after_a_round(one, ids) if count <= REFINED else full
-        both = ((points, truth), (full, truth), (points, full), (refined, full))
-        squares.append([rmse_to_truth(*each) ** 2 for each in both])
-    own, bundled, apart, left = np.sum(squares, axis=0)
-    found = {
+        refined = _after_a_round(one, ids)
+        pairings = (
+            (points, full),
+            (refined, full),
+            (points, truth),
+            (refined, truth),
+            (full, truth),
+        )
+        squares.append([rmse_to_truth(*each) ** 2 for each in pairings])
+    apart, apart_after, own, after, bundled = np.sum(squares, axis=0)
+    return {
         'draws': 2 * pairs,
         'ratio': float(np.sqrt(own / bundled)),
+        'ratio_after_a_round': float(np.sqrt(after / bundled)),
         'apart': float(np.sqrt(apart / bundled)),
-        'ratios': [float(np.sqrt(own / bundled)) for own, bundled, *_ in squares],
+        'apart_after_a_round': float(np.sqrt(apart_after / bundled)),
+        'ratios': [float(np.sqrt(one[2] / one[4])) for one in squares],
     }
-    if count <= REFINED:
-        found['apart_after_a_round'] = float(np.sqrt(left / bundled))
-    return found
 
 
 def seconds_until(tables: str, share: float) -> float:

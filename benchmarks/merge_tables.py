@@ -33,7 +33,8 @@ SECOND = (
     ('merge : bundle', 'rmse_ratio'),
     ('merge : bundle, many draws', 'pooled_ratio'),
     ('apart : error of bundle', 'apart'),
-    ('after a round', 'apart_after'),
+    ('apart, after a round', 'apart_after'),
+    ('merge : bundle, after a round', 'ratio_after'),
     ('Procrustes : bundle', 'procrustes_ratio'),
     ('Procrustes [s]', 'procrustes'),
     ('dense merge [s]', 'dense'),
@@ -127,8 +128,8 @@ def rows_of(results: dict[str, Any]) -> list[dict[str, Any]]:
             accuracy = found['accuracy']
             row['pooled_ratio'] = f'{accuracy["ratio"]:.4f} ({accuracy["draws"]})'
             row['apart'] = accuracy['apart']
-            if 'apart_after_a_round' in accuracy:
-                row['apart_after'] = accuracy['apart_after_a_round']
+            row['apart_after'] = accuracy['apart_after_a_round']
+            row['ratio_after'] = f'{accuracy["ratio_after_a_round"]:.5f}'
         if 'known' in found:
             row['known_memory'] = found['known']['growth_mb']
         if 'bundle' in found:

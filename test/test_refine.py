@@ -11,7 +11,7 @@ from mapmerge_ros.bundle import MapName, compress, linearise
 from mapmerge_ros.bundle.relinearise import relinearise
 from mapmerge_ros.cli.main import main
 from mapmerge_ros.errors import InvalidValue
-from mapmerge_ros.fusion import fuse
+from mapmerge_ros.fusion import FusionConfig, fuse
 from mapmerge_ros.fusion.refine import Robot, refine
 from mapmerge_ros.geometry import Gauge, align
 
@@ -146,3 +146,16 @@ def test_the_command_refines_real_models(tmp_path, capsys):
     assert (out / 'report.html').exists()
     assert main(command) == 2
     assert '--id-space' in capsys.readouterr().err
+
+
+def test_what_the_global_map_has_room_for_is_no_matter_of_the_rounds():
+    """A fleet has more landmarks than one map may have compressed: all are handed back."""
+    fleet = simulate_fleet(FleetConfig(), 3)
+    (_, wide), (robots, narrow) = (
+        refine(robots_of(fleet), 2, FusionConfig(max_landmarks=size)) for size in (10**6, 12)
+    )
+    component = narrow[-1].fusion.components[0]
+    assert component.submap.compressed_count == 12
+    assert len(component.landmarks.ids) == len(wide[-1].fusion.components[0].landmarks.ids)
+    assert narrow[-1].cost_px2 == pytest.approx(wide[-1].cost_px2, rel=1e-12)
+    assert all(len(robot.landmark_ids) > 12 for robot in robots)

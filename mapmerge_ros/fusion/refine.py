@@ -84,9 +84,7 @@ def refine(
     """
     if rounds < 1 or not robots:
         raise InvalidValue(f'rounds: {rounds} rounds with {len(robots)} robots do nothing')
-    config = replace(
-        config or FusionConfig(), max_landmarks=10**9, match_descriptors=False, unlock=False
-    )
+    config = replace(config or FusionConfig(), match_descriptors=False, unlock=False)
     state = _State(tuple(robots), None, np.inf)
     history = list[Round]()
     for number in range(1, rounds + 1):
