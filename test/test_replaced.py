@@ -10,14 +10,17 @@ from joint_cases import CASES, CONFIG, IDS, at_optimum, case, made_fleets
 
 pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres: pip install pycolmap')
 
+from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.joint import resume as resuming
 from mapmerge_ros.fusion.joint.covariance import uncertainty
 from mapmerge_ros.fusion.joint.factor import Carried
-from mapmerge_ros.fusion.joint.minimise import minimise
+from mapmerge_ros.fusion.joint.minimise import held_by, middle, minimise
+from mapmerge_ros.fusion.joint.near_optimum import near_optimum
 from mapmerge_ros.fusion.joint.replaced import Member, change, packed, unpacked
 from mapmerge_ros.fusion.joint.resume import Members, Resumable, resume
 from mapmerge_ros.fusion.joint.root import Root
+from mapmerge_ros.fusion.local import sensitivity
 from mapmerge_ros.geometry import Gauge, Segments, gauge_basis
 from mapmerge_ros.submap import pack
 
@@ -44,7 +47,7 @@ class Merge:
         seen = np.bincount(self.cost.tracks)[self.cost.tracks[self.cost.segments.rows(REPLACED)]]
         keep = (seen < 3) | (rng.random(len(seen)) < 0.8)  # those that two others have may go
         assert 0 < (~keep).sum() < len(keep)
-        self.next = with_another(self.cost, REPLACED, keep, rng)
+        self.keep, self.next = keep, with_another(self.cost, REPLACED, keep, rng)
         self.next_points = self.points + 1e-5 * np.abs(self.points).max() * rng.normal(
             size=self.points.shape
         )
@@ -69,8 +72,18 @@ def with_another(cost, k, keep, rng):
     rows[cost.segments.rows(k)] = keep
     root = cost.roots[k].without(keep)
     r = rng.uniform(0.5, 1.5, len(root.c))[:, None] * root.dense()
-    roots = list(cost.roots)
-    roots[k] = Root(pack(r), root.c, root.weight, root.columns)
+    return replace(
+        without_rows(cost, rows),
+        roots=changed(cost.roots, k, Root(pack(r), root.c, root.weight, root.columns)),
+    )
+
+
+def changed(roots, k, root):
+    return (*roots[:k], root, *roots[k + 1 :])
+
+
+def without_rows(cost, rows):
+    """All but R, which is as it was."""
     return replace(
         cost,
         segments=Segments.of_lengths(cost.segments.counts(rows)),
@@ -79,19 +92,20 @@ def with_another(cost, k, keep, rng):
         weights=cost.weights[rows],
         information=cost.information[rows],
         is_shared=cost.is_shared[rows],
-        roots=tuple(roots),
     )
 
 
 def of_elements(merge, element, points):
     """Dense matrix of the old merge with that of one map in the place of its own."""
+    others = [one for k, one in enumerate(merge.cost.elements()) if k != REPLACED]
+    return sum_of(others, merge.points) + sum_of([element], points)
+
+
+def sum_of(elements, points):
     matrix = np.zeros((points.size, points.size))
-    for own, at in [
-        *((one, merge.points) for k, one in enumerate(merge.cost.elements()) if k != REPLACED),
-        (element, points),
-    ]:
-        rows = coordinates(own.tracks)
-        matrix[np.ix_(rows, rows)] += own.derivatives(own.place(at))[0]
+    for element in elements:
+        rows = coordinates(element.tracks)
+        matrix[np.ix_(rows, rows)] += element.derivatives(element.place(points))[0]
     return matrix
 
 
@@ -121,6 +135,127 @@ def test_the_changed_factor_is_that_of_the_changed_matrix(fleets, gauges):
     found = change(merge.factor, merge.old(), merge.new())
     assert error(Carried(merge.factor, merge.numbers)) > 0.3
     assert error(Carried(merge.factor, merge.numbers, found)) < 0.02
+
+
+def test_a_landmark_that_only_the_new_sub_map_has_is_left_out(fleets):
+    """The other way round: the matrix of the new one without its rows and columns."""
+    merge = Merge(fleets, CASES[0])
+    old = Member(merge.next, REPLACED, merge.points, merge.numbers)
+    new = Member(merge.cost, REPLACED, merge.points, merge.numbers)
+    # A factor of the maps of `next`, made as that of the merge was.
+    state = merge.next.evaluate(merge.points)
+    factor = uncertainty(merge.next, state, merge.gauge, 0.5).factor
+    numbers = np.arange(len(merge.points))
+    old, new = (replace(one, numbers=numbers) for one in (old, new))
+    found = change(factor, old, new)
+    rows = coordinates(merge.next.tracks[merge.next.segments.rows(REPLACED)])
+    matrix = sum_of(merge.next.elements(), merge.points)
+    at = coordinates(np.flatnonzero(merge.keep))
+    matrix[np.ix_(rows, rows)] += new.matrix[np.ix_(at, at)] - old.matrix
+    # Cut out of a matrix, a part of it does hold the frame: what the factor adds for that counts.
+    matrix += hold(merge.next, state, merge.gauge)
+    wanted = np.random.default_rng(3).normal(size=merge.points.size)
+    solved = Carried(factor, numbers, found).solve(matrix @ wanted)
+    np.testing.assert_allclose(solved, wanted, atol=0.02 * np.abs(wanted).max())
+
+
+def hold(cost, state, gauge):
+    """What a factor has beside the elements (size, size): the frame of the whole is held."""
+    k = middle(cost, state.points)
+    element = cost.element(k)
+    own = np.asfortranarray(element.derivatives(element.place(state.points))[0])
+    held = own.copy(order='F')
+    held_by(cost, state, gauge, k, np.arange(len(element.tracks)), held)
+    lower = np.tril(held - own)
+    matrix = np.zeros((state.points.size, state.points.size))
+    at = coordinates(element.tracks)
+    matrix[np.ix_(at, at)] = lower + np.tril(lower, -1).T
+    return matrix
+
+
+def test_what_all_sub_maps_count_is_taken_out(fleets, monkeypatch):
+    """Pooled noise scales every matrix: with that of one sub-map replaced, and without."""
+    monkeypatch.setattr(resuming, 'HIGHEST_PRICE', np.inf)
+    merge = Merge(fleets, CASES[0])
+    for cost in (merge.next, merge.cost):
+        heavier = scaled(cost, 3.0)
+        plain = resume(cost, merge.members(cost), merge.resumable()).matrix
+        found = resume(heavier, merge.members(cost), merge.resumable()).matrix
+        assert found.scale == pytest.approx(3.0)
+        assert (found.change is None) == (plain.change is None) == (cost is merge.cost)
+        right = np.random.default_rng(2).normal(size=merge.points.size)
+        wanted = plain.solve(right) / 3.0
+        np.testing.assert_allclose(
+            found.solve(right), wanted, rtol=1e-3, atol=1e-3 * np.abs(wanted).max()
+        )
+        wobbling = tuple(
+            replace(root, weight=root.weight * (1.0 + (k % 3 - 1) * 4e-16))
+            for k, root in enumerate(cost.roots)
+        )
+        again = resume(replace(cost, roots=wobbling), merge.members(cost), merge.resumable())
+        assert (again.matrix.change is None) == (cost is merge.cost)
+
+
+def scaled(cost, factor):
+    roots = tuple(replace(root, weight=factor * root.weight) for root in cost.roots)
+    return replace(cost, roots=roots, information=factor * cost.information)
+
+
+@pytest.mark.parametrize('sigma', [0.5, 1e-77])
+def test_blocks_that_come_by_are_those_of_the_factor(fleets, sigma):
+    """Whatever the noise is taken to be: without any it is next to nothing."""
+    merge = Merge(fleets, CASES[0])
+    state, learnt = merge.cost.evaluate(merge.points), []
+    sensitivity(near_optimum(merge.cost, state, merge.gauge, sigma, learnt.append))
+    wanted = uncertainty(merge.cost, state, merge.gauge, sigma).factor.leaves
+    found = learnt[0].factor.leaves
+    assert set(found) == set(wanted) == set(range(len(merge.cost)))
+    for k, block in wanted.items():
+        np.testing.assert_allclose(found[k], block, atol=1e-4 * np.abs(block).max())
+    # With private landmarks in the factor, the blocks are those of the shared ones.
+    for k, block in merge.factor.leaves.items():
+        own = 3 * merge.cost.segments.lengths[k]
+        assert len(block) == own * (own + 1) // 2
+
+
+@pytest.mark.parametrize('weight', [1e-8, 1e3, 1e5, 1e8])
+def test_a_sub_map_that_counts_otherwise_by_orders_is_no_wrong_merge(fleets, monkeypatch, weight):
+    """Where float32 has too few digits for it there is no change; the optimum is the same."""
+    monkeypatch.setattr(resuming, 'HIGHEST_PRICE', np.inf)
+    merge = Merge(fleets, CASES[0])
+    root = merge.next.roots[REPLACED]
+    roots = changed(merge.next.roots, REPLACED, replace(root, weight=weight * root.weight))
+    cost = replace(merge.next, roots=roots)
+    start = resume(cost, merge.members(cost), merge.resumable())
+    found = minimise(cost, merge.points, merge.gauge, CONFIG, start.matrix)
+    wanted = minimise(cost, merge.points, merge.gauge, CONFIG)
+    # Where the old factor is of no use any more the merge says so, and another start follows.
+    assert found.cost <= wanted.cost * (1.0 + 1e-6) if found.converged else weight > 1e3
+
+
+def test_a_factor_that_promises_to_raise_the_cost_is_made_anew(fleets):
+    merge = Merge(fleets, CASES[0])
+    found = change(merge.factor, merge.old(), merge.new())
+    wild = replace(found, response=-1e6 * np.abs(found.response).max() * np.eye(len(found.places)))
+    for response in (wild.response, -wild.response, np.full(wild.response.shape, np.nan)):
+        carried = Carried(merge.factor, merge.numbers, replace(wild, response=response))
+        merged = minimise(merge.next, merge.next_points, merge.gauge, CONFIG, carried)
+        wanted = minimise(merge.next, merge.next_points, merge.gauge, CONFIG)
+        assert merged.converged
+        assert merged.cost == pytest.approx(wanted.cost, rel=1e-9)
+
+
+def test_what_cannot_be_changed_is_left_to_the_merge(fleets, monkeypatch):
+    monkeypatch.setattr(resuming, 'HIGHEST_PRICE', np.inf)
+    merge = Merge(fleets, CASES[0])
+    for error in (DegenerateGeometry('no frame'), np.linalg.LinAlgError('singular')):
+
+        def fails(*_, error=error):
+            raise error
+
+        monkeypatch.setattr(resuming, 'change', fails)
+        start = resume(merge.next, merge.members(merge.next), merge.resumable())
+        assert start.matrix.change is None
 
 
 def test_a_block_is_packed_and_unpacked():
@@ -173,6 +308,6 @@ def test_only_one_sub_map_is_changed_and_only_where_it_pays(fleets, monkeypatch)
     assert found() is not None
     assert found(last=replace(last, cost=None)) is None
     assert resume(merge.cost, merge.members(merge.cost), last).matrix.change is None
-    roots = list(merge.next.roots)
-    roots[4] = replace(roots[4], weight=2.0 * roots[4].weight)
-    assert found(cost=replace(merge.next, roots=tuple(roots))) is None
+    root = merge.next.roots[4]
+    both = changed(merge.next.roots, 4, replace(root, weight=2.0 * root.weight))
+    assert found(cost=replace(merge.next, roots=both)) is None

@@ -11,6 +11,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.compress import Normal
+from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.cost import JointCost, State
 from mapmerge_ros.fusion.joint.factor import Factor
@@ -60,8 +61,15 @@ def uncertainty(cost: JointCost, state: State, gauge: Gauge, sigma: float) -> Un
 class Gathering:
     """What is known of landmarks and frames, from one block of the inverse after the other."""
 
-    def __init__(self, cost: JointCost, state: State, gauge: Gauge, factor: Factor) -> None:
-        self._factor = factor
+    def __init__(
+        self, cost: JointCost, state: State, gauge: Gauge, factor: Factor, scale: float = 1.0
+    ) -> None:
+        """
+        Nothing has been taken yet.
+
+        The matrix of `factor`, times the square of `scale`, is the Gauss-Newton matrix.
+        """
+        self._factor, self._scale, self._cost = factor, scale, cost
         self._null = gauge_basis(state.points, gauge)
         self._pulled = factor.solve(self._null) if self._null.shape[1] else self._null
         self._inner = self._null.T @ self._pulled
@@ -80,21 +88,17 @@ class Gathering:
         _take_landmarks(front, free, self._landmarks)
         if front.leaf >= 0:
             if self._factor.fits:
-                self._leaves[front.leaf] = packed(block)
+                shared = self._cost.is_shared[self._cost.segments.rows(front.leaf)]
+                at = coordinates(np.flatnonzero(shared[front.leaf_order]))
+                own_block = block if shared.all() else block[np.ix_(at, at)]
+                # Without noise the quotient is what float32 can hold, the block is not.
+                self._leaves[front.leaf] = packed(own_block / self._scale**2)
             derivative = self._by_points(front.leaf, front.leaf_order)
             self._frames[front.leaf] = derivative @ free @ derivative.T
 
-    def uncertainty(self, scale: float = 1.0) -> Uncertainty:
-        """
-        All of it, when every front has been taken.
-
-        The matrix that was factorised is the inverse covariance; times the square of `scale` it is
-        the Gauss-Newton matrix.
-        """
-        kept = None
-        if self._factor.fits:
-            leaves = {k: leaf / np.float32(scale) ** 2 for k, leaf in self._leaves.items()}
-            kept = self._factor.rounded(scale, leaves)
+    def uncertainty(self) -> Uncertainty:
+        """All of it, when every front has been taken; the factor is of the Gauss-Newton matrix."""
+        kept = self._factor.rounded(self._scale, self._leaves) if self._factor.fits else None
         return Uncertainty(self._landmarks, self._frames, kept)
 
 

@@ -15,7 +15,7 @@ from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.joint.fronts import Front, Fronts, Run
 
 LARGEST_KEPT = 2**26
-"""Numbers of a factor that is kept for the next merge: 0.25 GB, and some 300 drones."""
+"""Numbers of a factor and its leaves that are kept for the next merge: 0.25 GB, 300 drones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,12 +50,14 @@ class Factor:
     root: Floats | None = None
     """(n, n) what is left of the matrix for the rows of the root's front, when kept"""
     leaves: dict[int, Floats] = field(default_factory=dict)
-    """Per sub-map the inverse on the rows of its front, a packed lower triangle, where known"""
+    """
+    Per sub-map the inverse on the shared rows of its front, a packed lower triangle, where known
+    """
 
     @property
     def fits(self) -> bool:
-        """Whether it is small enough to be kept until the next merge."""
-        return len(self.storage) <= LARGEST_KEPT
+        """Whether it is small enough to be kept until the next merge, with its leaves."""
+        return len(self.storage) + self.fronts.triangles <= LARGEST_KEPT
 
     def rounded(self, scale: float, leaves: dict[int, Floats]) -> Factor:
         """
@@ -164,6 +166,8 @@ class Carried:
     """(tracks,) number of each landmark in the factor"""
     change: Change | None = None
     """Of one sub-map, since then"""
+    scale: float = 1.0
+    """What all of it counts now, over what it counted then"""
 
     @property
     def fronts(self) -> Fronts:
@@ -175,7 +179,7 @@ class Carried:
         old = np.zeros((self.factor.fronts.size // 3, 3))
         old[self.numbers] = right.reshape(-1, 3)
         solved = self.factor.solve(old.ravel(), self.change)
-        return solved.reshape(-1, 3)[self.numbers].ravel()
+        return solved.reshape(-1, 3)[self.numbers].ravel() / self.scale
 
 
 def _times_lower(lower: Floats, right: Floats, transposed: int = 0) -> Floats:

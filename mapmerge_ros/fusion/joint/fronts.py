@@ -80,8 +80,12 @@ class Fronts:
     @property
     def read_by_a_step(self) -> int:
         """Numbers that one step reads: the factor forwards and backwards, R of every sub-map."""
-        triangles = sum(len(front.rows) ** 2 // 2 for front in self.fronts if front.leaf >= 0)
-        return 2 * self.storage + triangles
+        return 2 * self.storage + self.triangles
+
+    @property
+    def triangles(self) -> int:
+        """Numbers in triangles of all sub-maps, R or blocks of the inverse."""
+        return sum(len(front.rows) ** 2 // 2 for front in self.fronts if front.leaf >= 0)
 
     def path(self, leaf: int) -> tuple[int, ...]:
         """Fronts from that of a sub-map up to the root."""

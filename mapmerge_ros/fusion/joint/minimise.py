@@ -177,12 +177,15 @@ def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple
         if matrix.solver is not None:
             step = -matrix.solver.solve(gradient.ravel()).reshape(-1, 3)
             promised = -float(np.sum(gradient * step))
-            better = matrix.acceleration.improved(state.points, gradient, step)
-            trial = cost.evaluate(state.points + better)
-            if trial.cost <= state.cost + (0.0 if matrix.fresh else OVERSHOOT * promised):
-                return trial, promised
-            if promised <= ROUNDING * state.cost:
-                return state, 0.0
+            rounding = ROUNDING * state.cost
+            # A changed factor may be indefinite, and then promises to raise the cost.
+            if matrix.fresh or promised >= -rounding:
+                better = matrix.acceleration.improved(state.points, gradient, step)
+                trial = cost.evaluate(state.points + better)
+                if trial.cost <= state.cost + (0.0 if matrix.fresh else OVERSHOOT * promised):
+                    return trial, promised
+                if promised <= rounding:
+                    return state, 0.0
         harder = max(FIRST_DAMPING, matrix.damping * DAMPING_STEP) if matrix.fresh else 0.0
         if harder > MAX_DAMPING:
             _check_determined(gradient, state)

@@ -94,8 +94,8 @@ class FrontInverse:
         except np.linalg.LinAlgError:
             raise DegenerateGeometry('a merged landmark is not determined') from None
         self._null = gauge_basis(state.points, gauge)
-        self._sigma, self._learn = sigma, learn
-        self._gathering = Gathering(cost, state, gauge, self._factor) if learn else None
+        self._learn = learn
+        self._gathering = Gathering(cost, state, gauge, self._factor, sigma) if learn else None
 
     def solve(self, right: Floats) -> Floats:
         """Solve for right-hand sides (3n, m); the map as a whole does not move."""
@@ -112,7 +112,7 @@ class FrontInverse:
                 at = coordinates(np.argsort(front.leaf_order))
                 yield front.leaf, block[np.ix_(at, at)]
         if self._learn and self._gathering:
-            self._learn(self._gathering.uncertainty(self._sigma))
+            self._learn(self._gathering.uncertainty())
 
 
 def _informations(cost: JointCost, state: State, sigma: float) -> tuple[Floats, ...]:

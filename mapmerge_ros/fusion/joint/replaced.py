@@ -23,8 +23,14 @@ from mapmerge_ros.fusion.joint.factor import Change, Factor, mirrored
 from mapmerge_ros.fusion.joint.fronts import Fronts
 from mapmerge_ros.fusion.joint.minimise import OPERATIONS_PER_NUMBER
 
-OPERATIONS = 6.7
-"""Of `change`, times (3s)^3: two matrices, one product, one system of equations."""
+HIGHEST_CONDITION = 1e4
+"""Of 1 + S D, from which what is left of the seven digits of S is not enough."""
+
+SAME_WEIGHT = 1e-6
+"""Relative difference up to which two weights are the same: pooling the noise rounds them."""
+
+OPERATIONS = 8.0
+"""Of `change`, times (3s)^3: two matrices, two products, one inverse."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,36 +64,57 @@ class Member:
         size = len(self.own_numbers) * 3
         return OPERATIONS * size**3 / OPERATIONS_PER_NUMBER / fronts.read_by_a_step
 
-    def says_the_same(self, other: Member) -> bool:
-        """Whether both have the same R, and count as much."""
-        one, two = self.cost.roots[self.k], other.cost.roots[other.k]
-        if one.weight != two.weight:
+    @property
+    def weight(self) -> float:
+        """How much the squared residuals of the sub-map count."""
+        return self.cost.roots[self.k].weight
+
+    def counts_as(self, old: Member, scale: float) -> bool:
+        """Whether it has the same R, and counts `scale` times as much: then so does its matrix."""
+        if not np.isclose(self.weight, scale * old.weight, rtol=SAME_WEIGHT, atol=0.0):
             return False
-        return one.packed is two.packed or np.array_equal(one.packed, two.packed)
+        one, two = self.cost.roots[self.k].packed, old.cost.roots[old.k].packed
+        return one is two or np.array_equal(one, two)
 
 
-def change(factor: Factor, old: Member, new: Member) -> Change | None:
+def change(factor: Factor, old: Member, new: Member, scale: float = 1.0) -> Change | None:
     """
     Change of a factor that was made with the sub-map `old`, which is now `new`.
 
-    None where the factor does not come with that block of its inverse, or where a landmark of the
-    old sub-map is none of the merge any more. A landmark that only the new one has is left out:
-    the matrix stays definite.
+    All sub-maps count `scale` times as much as before: the factor is to be that of the new matrix
+    over the scale. None where the factor does not come with that block of its inverse, where a
+    landmark of the old sub-map is none of the merge any more, or where too few digits would be
+    left. A landmark that only the new one has is left out: the matrix stays definite.
+
+    Raises
+    ------
+    DegenerateGeometry
+        The landmarks do not determine the frame of the sub-map.
+    numpy.linalg.LinAlgError
+        The old matrix was that of this sub-map only.
+
     """
-    packed, had, has = factor.leaves.get(old.k), old.own_numbers, new.own_numbers
-    if packed is None or not np.isin(had, new.numbers).all():
+    triangle, had = factor.leaves.get(old.k), old.own_numbers
+    if triangle is None or not np.isin(had, new.numbers).all():
         return None
     path = factor.fronts.path(old.k)
     front = factor.fronts.fronts[path[0]]
-    at = coordinates(_find(front.rows[::3] // 3, had))
-    covariance = unpacked(packed, len(front.rows))[np.ix_(at, at)]
-    both = np.isin(has, had)
-    ours, theirs = coordinates(_find(had, has[both])), coordinates(np.flatnonzero(both))
-    difference = -old.matrix
-    difference[np.ix_(ours, ours)] += new.matrix[np.ix_(theirs, theirs)]
-    through = np.eye(len(at)) + covariance @ difference
-    response = np.linalg.solve(through.T, difference.T).T
-    return Change(path, front.places[at], response.astype(factor.storage.dtype))
+    landmarks = front.rows[::3] // 3
+    at = np.flatnonzero(np.isin(landmarks, had))  # private ones are in the front as well
+    covariance = unpacked(triangle, 3 * len(at))
+    difference = np.zeros(covariance.shape)
+    for member, factor_of in ((old, -1.0), (new, 1.0 / scale)):
+        known = np.isin(member.own_numbers, had)
+        theirs = coordinates(np.flatnonzero(known))
+        ours = coordinates(_find(landmarks[at], member.own_numbers[known]))
+        difference[np.ix_(ours, ours)] += factor_of * member.matrix[np.ix_(theirs, theirs)]
+    through = np.eye(len(covariance)) + covariance @ difference
+    inverse = np.linalg.inv(through)
+    if not np.linalg.norm(through, 1) * np.linalg.norm(inverse, 1) < HIGHEST_CONDITION:
+        return None
+    response = difference @ inverse
+    response = (0.5 * (response + response.T)).astype(factor.storage.dtype)
+    return Change(path, front.places[coordinates(at)], response)
 
 
 def packed(block: Floats) -> Floats:

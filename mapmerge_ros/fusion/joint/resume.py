@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ids, Ints
+from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.joint.cost import JointCost
-from mapmerge_ros.fusion.joint.factor import Carried, Change
+from mapmerge_ros.fusion.joint.factor import Carried, Change, Factor
 from mapmerge_ros.fusion.joint.replaced import Member, change
 from mapmerge_ros.fusion.joint.start import mean_of_members
 from mapmerge_ros.geometry import align_segments
@@ -97,32 +98,34 @@ def _carried(
 ) -> Carried:
     """Factor of the last merge for landmarks that had these numbers in it."""
     assert last.matrix is not None
-    numbers = last.matrix.numbers[before]
-    found = _replaced(cost, members, points, numbers, last)
-    return Carried(last.matrix.factor, numbers, found)
+    factor, numbers = last.matrix.factor, last.matrix.numbers[before]
+    names = last.members.map_ids
+    if last.cost is None or sorted(names) != sorted(members.map_ids):
+        return Carried(factor, numbers)
+    pairs: list[tuple[Member, Member]] = []
+    for k, name in enumerate(members.map_ids):
+        old = Member(last.cost, names.index(name), last.points, last.matrix.numbers)
+        pairs.append((old, Member(cost, k, points, numbers)))
+    # The noise is pooled: a new revision of one sub-map changes what all of them count.
+    scale = float(np.median([new.weight / old.weight for old, new in pairs]))
+    changed = [(old, new) for old, new in pairs if not new.counts_as(old, scale)]
+    found = _change(factor, *changed[0], scale) if len(changed) == 1 else None
+    return Carried(factor, numbers, found, scale)
 
 
-def _replaced(
-    cost: JointCost, members: Members, points: Floats, numbers: Ints, last: Resumable
-) -> Change | None:
+def _change(factor: Factor, old: Member, new: Member, scale: float) -> Change | None:
     """
-    What it does to the factor that one sub-map was replaced; None if it was not just one.
+    What it does to the factor that one sub-map was replaced; None where that does not pay.
 
     Of several, how they bear on each other would have to be known; with each for itself it takes a
     step less at best, which is what it costs.
     """
-    names = last.members.map_ids
-    if last.cost is None or last.matrix is None or sorted(names) != sorted(members.map_ids):
+    if old.price_in_steps(factor.fronts) > HIGHEST_PRICE:
         return None
-    changed: list[tuple[Member, Member]] = []
-    for k, name in enumerate(members.map_ids):
-        old = Member(last.cost, names.index(name), last.points, last.matrix.numbers)
-        new = Member(cost, k, points, numbers)
-        if not new.says_the_same(old):
-            changed.append((old, new))
-    if len(changed) != 1 or changed[0][0].price_in_steps(last.matrix.fronts) > HIGHEST_PRICE:
-        return None
-    return change(last.matrix.factor, *changed[0])
+    try:
+        return change(factor, old, new, scale)
+    except (DegenerateGeometry, np.linalg.LinAlgError):
+        return None  # the merge says what is wrong, or gets on with the old factor
 
 
 def _before(new: Members, old: Members, count: int) -> Ints:
