@@ -12,6 +12,7 @@ pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres: pip
 from mapmerge_ros.fusion import FusionConfig, FusionEngine, Warm, fuse
 from mapmerge_ros.fusion.associate import associate_by_id
 from mapmerge_ros.fusion.joint import minimise as joint
+from mapmerge_ros.fusion.joint import resume as resuming
 from mapmerge_ros.fusion.links import find_links
 from mapmerge_ros.geometry import Gauge, align
 from mapmerge_ros.simulation import FleetConfig, Sensing, simulate_fleet
@@ -135,3 +136,26 @@ def test_an_engine_forgets_what_is_gone(revisions):
     engine.fuse()
     engine.fuse()
     assert engine.memory.last_merge([submap.map_id for submap in first]) is None
+
+
+def test_a_changed_factor_leads_to_the_cold_fusion(revisions, monkeypatch):
+    """One sub-map after the other is replaced; in a fleet this small it does not pay by itself."""
+    first, newer = revisions
+    found, plain = [], resuming.change
+
+    def noted(*args):
+        found.append(plain(*args))
+        return found[-1]
+
+    monkeypatch.setattr(resuming, 'change', noted)
+    warm, maps = Warm(), list(first)
+    fuse(maps, warm=warm)
+    maps[1] = replace(newer[1], packed_r=1.2 * newer[1].packed_r, c=1.2 * newer[1].c)
+    fuse(maps, warm=warm)
+    assert not found
+    monkeypatch.setattr(resuming, 'HIGHEST_PRICE', np.inf)
+    for k in (2, 5):
+        # A better camera: R itself has to be another one.
+        maps[k] = replace(newer[k], packed_r=1.2 * newer[k].packed_r, c=1.2 * newer[k].c)
+        assert_same(fuse(maps, warm=warm), fuse(maps))
+        assert found.pop() is not None
