@@ -138,8 +138,9 @@ def test_an_engine_forgets_what_is_gone(revisions):
     assert engine.memory.last_merge([submap.map_id for submap in first]) is None
 
 
-def test_a_changed_factor_leads_to_the_cold_fusion(revisions, monkeypatch):
-    """One sub-map after the other is replaced; in a fleet this small it does not pay by itself."""
+@pytest.mark.parametrize('k', [2, 5])
+def test_a_changed_factor_leads_to_the_cold_fusion(revisions, monkeypatch, k):
+    """In a fleet this small it does not pay by itself."""
     first, newer = revisions
     found, plain = [], resuming.change
 
@@ -148,14 +149,13 @@ def test_a_changed_factor_leads_to_the_cold_fusion(revisions, monkeypatch):
         return found[-1]
 
     monkeypatch.setattr(resuming, 'change', noted)
-    warm, maps = Warm(), list(first)
-    fuse(maps, warm=warm)
-    maps[1] = replace(newer[1], packed_r=1.2 * newer[1].packed_r, c=1.2 * newer[1].c)
-    fuse(maps, warm=warm)
-    assert not found
-    monkeypatch.setattr(resuming, 'HIGHEST_PRICE', np.inf)
-    for k in (2, 5):
-        # A better camera: R itself has to be another one.
-        maps[k] = replace(newer[k], packed_r=1.2 * newer[k].packed_r, c=1.2 * newer[k].c)
-        assert_same(fuse(maps, warm=warm), fuse(maps))
-        assert found.pop() is not None
+    # A better camera: R itself has to be another one.
+    better = replace(newer[k], packed_r=1.2 * newer[k].packed_r, c=1.2 * newer[k].c)
+    maps = [*first[:k], better, *first[k + 1 :]]
+    cold = fuse(maps)
+    for price, is_changed in ((resuming.HIGHEST_PRICE, False), (np.inf, True)):
+        monkeypatch.setattr(resuming, 'HIGHEST_PRICE', price)
+        warm = Warm()
+        fuse(first, warm=warm)
+        assert_same(fuse(maps, warm=warm), cold)
+        assert bool(found and found[0]) == is_changed
