@@ -10,6 +10,7 @@ put that right.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +72,7 @@ class Member:
 
     def counts_as(self, old: Member, scale: float) -> bool:
         """Whether it has the same R, and counts `scale` times as much: then so does its matrix."""
-        if not np.isclose(self.weight, scale * old.weight, rtol=SAME_WEIGHT, atol=0.0):
+        if not math.isclose(self.weight, scale * old.weight, rel_tol=SAME_WEIGHT):
             return False
         one, two = self.cost.roots[self.k].packed, old.cost.roots[old.k].packed
         return one is two or np.array_equal(one, two)
