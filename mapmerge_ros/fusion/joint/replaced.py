@@ -53,7 +53,7 @@ class Member:
 
     @property
     def matrix(self) -> Floats:
-        """Gauss-Newton matrix (3s, 3s) of the sub-map by its landmarks in the global frame."""
+        """(3s, 3s) Gauss-Newton matrix of the sub-map, by its landmarks in the global frame."""
         alone = self.cost.only(self.k)
         points = self.points[self.cost.tracks[self.cost.segments.rows(self.k)]]
         jacobian = Jacobians(alone, alone.evaluate(points)).of(0, np.arange(len(points)))
