@@ -17,7 +17,7 @@ from mapmerge_ros.fusion.joint.covariance import uncertainty
 from mapmerge_ros.fusion.joint.factor import Carried
 from mapmerge_ros.fusion.joint.minimise import held_by, middle, minimise
 from mapmerge_ros.fusion.joint.near_optimum import near_optimum
-from mapmerge_ros.fusion.joint.replaced import Member, change, packed, unpacked
+from mapmerge_ros.fusion.joint.replaced import Member, change
 from mapmerge_ros.fusion.joint.resume import Members, Resumable, resume
 from mapmerge_ros.fusion.joint.root import Root
 from mapmerge_ros.fusion.local import sensitivity
@@ -256,15 +256,6 @@ def test_what_cannot_be_changed_is_left_to_the_merge(fleets, monkeypatch):
         monkeypatch.setattr(resuming, 'change', fails)
         start = resume(merge.next, merge.members(merge.next), merge.resumable())
         assert start.matrix.change is None
-
-
-def test_a_block_is_packed_and_unpacked():
-    block = np.random.default_rng(0).normal(size=(5, 5))
-    block += block.T
-    triangle = packed(block)
-    assert triangle.shape == (15,)
-    assert triangle.dtype == np.float32
-    np.testing.assert_allclose(unpacked(triangle, 5), block, rtol=1e-6)
 
 
 def test_no_change_without_the_block_or_where_a_landmark_is_gone(fleets):

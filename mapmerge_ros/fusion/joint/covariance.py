@@ -18,8 +18,8 @@ from mapmerge_ros.fusion.joint.factor import Factor
 from mapmerge_ros.fusion.joint.factorise import factorise
 from mapmerge_ros.fusion.joint.fronts import Front
 from mapmerge_ros.fusion.joint.minimise import gauss_newton, plan
-from mapmerge_ros.fusion.joint.replaced import packed
 from mapmerge_ros.geometry import Gauge, Similarity, gauge_basis
+from mapmerge_ros.submap import pack
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +76,7 @@ class Gathering:
         self._landmarks = np.empty((len(state.points), 3, 3))
         self._frames = np.empty((len(cost), 7, 7))
         self._by_points = _FramesByPoints(cost, state)
-        self._leaves: dict[int, Floats] = {}
+        self._is_kept, self._leaves = factor.fits, dict[int, Floats]()
 
     def take(self, front: Front, block: Floats) -> None:
         """Take note of the inverse (k + b, k + b) on a front."""
@@ -87,18 +87,18 @@ class Gathering:
         free = block[: len(own), : len(own)] + n @ (self._inner @ n.T - z.T) - z @ n.T
         _take_landmarks(front, free, self._landmarks)
         if front.leaf >= 0:
-            if self._factor.fits:
+            if self._is_kept:
                 shared = self._cost.is_shared[self._cost.segments.rows(front.leaf)]
                 at = coordinates(np.flatnonzero(shared[front.leaf_order]))
                 own_block = block if shared.all() else block[np.ix_(at, at)]
                 # Without noise the quotient is what float32 can hold, the block is not.
-                self._leaves[front.leaf] = packed(own_block / self._scale**2)
+                self._leaves[front.leaf] = pack((own_block / self._scale**2).astype(np.float32))
             derivative = self._by_points(front.leaf, front.leaf_order)
             self._frames[front.leaf] = derivative @ free @ derivative.T
 
     def uncertainty(self) -> Uncertainty:
         """All of it, when every front has been taken; the factor is of the Gauss-Newton matrix."""
-        kept = self._factor.rounded(self._scale, self._leaves) if self._factor.fits else None
+        kept = self._factor.rounded(self._scale, self._leaves) if self._is_kept else None
         return Uncertainty(self._landmarks, self._frames, kept)
 
 

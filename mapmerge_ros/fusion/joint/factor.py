@@ -51,7 +51,7 @@ class Factor:
     """(n, n) what is left of the matrix for the rows of the root's front, when kept"""
     leaves: dict[int, Floats] = field(default_factory=dict)
     """
-    Per sub-map the inverse on the shared rows of its front, a packed lower triangle, where known
+    Per sub-map the inverse on the shared rows of its front, a packed triangle, where known
     """
 
     @property

@@ -14,7 +14,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import stpttr, strttp
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.element import coordinates
@@ -23,6 +22,7 @@ from mapmerge_ros.fusion.joint.derivatives import Jacobians
 from mapmerge_ros.fusion.joint.factor import Change, Factor, mirrored
 from mapmerge_ros.fusion.joint.fronts import Fronts
 from mapmerge_ros.fusion.joint.minimise import OPERATIONS_PER_NUMBER
+from mapmerge_ros.submap import unpack
 
 HIGHEST_CONDITION = 1e4
 """Of 1 + S D, from which what is left of the seven digits of S is not enough."""
@@ -102,13 +102,14 @@ def change(factor: Factor, old: Member, new: Member, scale: float = 1.0) -> Chan
     front = factor.fronts.fronts[path[0]]
     landmarks = front.rows[::3] // 3
     at = np.flatnonzero(np.isin(landmarks, had))  # private ones are in the front as well
-    covariance = unpacked(triangle, 3 * len(at))
+    covariance = mirrored(unpack(triangle, 3 * len(at), 3 * len(at)))
+    slots = np.full(factor.fronts.size // 3, -1)
+    slots[landmarks[at]] = np.arange(len(at))
     difference = np.zeros(covariance.shape)
-    for member, factor_of in ((old, -1.0), (new, 1.0 / scale)):
-        known = np.isin(member.own_numbers, had)
-        theirs = coordinates(np.flatnonzero(known))
-        ours = coordinates(_find(landmarks[at], member.own_numbers[known]))
-        difference[np.ix_(ours, ours)] += factor_of * member.matrix[np.ix_(theirs, theirs)]
+    for member, share in ((old, -1.0), (new, 1.0 / scale)):
+        own = slots[member.own_numbers]
+        ours, theirs = coordinates(own[own >= 0]), coordinates(np.flatnonzero(own >= 0))
+        difference[np.ix_(ours, ours)] += share * member.matrix[np.ix_(theirs, theirs)]
     through = np.eye(len(covariance)) + covariance @ difference
     inverse = np.linalg.inv(through)
     if not np.linalg.norm(through, 1) * np.linalg.norm(inverse, 1) < HIGHEST_CONDITION:
@@ -116,20 +117,3 @@ def change(factor: Factor, old: Member, new: Member, scale: float = 1.0) -> Chan
     response = difference @ inverse
     response = (0.5 * (response + response.T)).astype(factor.storage.dtype)
     return Change(path, front.places[coordinates(at)], response)
-
-
-def packed(block: Floats) -> Floats:
-    """Lower triangle of a symmetric matrix (n, n) in float32, packed."""
-    triangle: Floats = strttp(block.astype(np.float32), uplo='L')[0]
-    return triangle
-
-
-def unpacked(triangle: Floats, size: int) -> Floats:
-    """Symmetric matrix (size, size) in float64 of its packed lower triangle."""
-    return mirrored(np.tril(stpttr(size, triangle, uplo='L')[0]).astype(float))
-
-
-def _find(numbers: Ints, wanted: Ints) -> Ints:
-    """Row of each wanted number, which must be there."""
-    order = np.argsort(numbers)
-    return np.asarray(order[np.searchsorted(numbers, wanted, sorter=order)])

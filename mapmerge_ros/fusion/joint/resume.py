@@ -99,12 +99,12 @@ def _carried(
     """Factor of the last merge for landmarks that had these numbers in it."""
     assert last.matrix is not None
     factor, numbers = last.matrix.factor, last.matrix.numbers[before]
-    names = last.members.map_ids
-    if last.cost is None or sorted(names) != sorted(members.map_ids):
+    rows = {name: k for k, name in enumerate(last.members.map_ids)}
+    if last.cost is None or rows.keys() != set(members.map_ids):
         return Carried(factor, numbers)
     pairs: list[tuple[Member, Member]] = []
     for k, name in enumerate(members.map_ids):
-        old = Member(last.cost, names.index(name), last.points, last.matrix.numbers)
+        old = Member(last.cost, rows[name], last.points, last.matrix.numbers)
         pairs.append((old, Member(cost, k, points, numbers)))
     # The noise is pooled: a new revision of one sub-map changes what all of them count.
     scale = float(np.median([new.weight / old.weight for old, new in pairs]))
