@@ -10,7 +10,6 @@ of the two has, and what is therefore easiest to find again, is missing in the o
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import rankdata
 
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.association.config import AssociationConfig
@@ -46,9 +45,16 @@ def peculiar_score(
     found, missed = int(hits.sum()), int((~hits).sum())
     if not found or not missed:
         return 0.0
-    ranks = rankdata(_twin_distances(descriptors, rows))
+    ranks = _ranks(_twin_distances(descriptors, rows))
     excess = ranks[hits].sum() - 0.5 * found * (len(rows) + 1)
     return float(excess / np.sqrt(found * missed * (len(rows) + 1) / 12.0))
+
+
+def _ranks(values: Floats) -> Floats:
+    """Ranks (k,) from 1, equal values sharing the mean of theirs."""
+    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+    means: Floats = np.cumsum(counts) - 0.5 * (counts - 1)
+    return means[which]
 
 
 def _twin_distances(descriptors: Descriptors, rows: Ints) -> Floats:

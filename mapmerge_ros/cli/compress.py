@@ -30,12 +30,12 @@ maps are bent by it (Caliterra), and costs a factor of two in the distance to go
 """
 
 
-def add_parser(subparsers: Subparsers) -> None:
+def add_parser(subparsers: Subparsers, summary: str) -> None:
     """Register the command."""
     parser = options.add_command(
         subparsers,
         'compress',
-        'COLMAP models to compressed sub-maps',
+        summary,
         'Turn COLMAP models into one compressed sub-map each, in one recording.\n'
         'A model is a folder with cameras, images, points3D (.bin or .txt), and optionally\n'
         'descriptors.npz (point_id int64[n], descriptors uint8[n, 128|64|48|32]).',

@@ -32,12 +32,12 @@ STEP_S = 0.1
 """How long to wait for a message before the processes are looked at again."""
 
 
-def add_parser(subparsers: Subparsers) -> None:
+def add_parser(subparsers: Subparsers, summary: str) -> None:
     """Register the command."""
     parser = options.add_command(
         subparsers,
         'demo',
-        'the real nodes on real topics, and the result checked',
+        summary,
         'Start one process for every robot of a recording and one for the fusion node, on this\n'
         'machine only and in a ROS domain of their own; show what arrives, and compare it with\n'
         'the replay of the same recording and with the truth beside it. The exit code is 0 if\n'

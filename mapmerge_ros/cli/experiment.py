@@ -33,12 +33,12 @@ class _List(argparse.Action):
         parser.exit()
 
 
-def add_parser(subparsers: Subparsers) -> None:
+def add_parser(subparsers: Subparsers, summary: str) -> None:
     """Register the command."""
     parser = options.add_command(
         subparsers,
         'experiment',
-        "the paper's experiments and ours, with figures",
+        summary,
         "Run one of the paper's experiments or of ours. NAME.json (every run), NAME.png and\n"
         'NAME.md go to the output folder, the table and the checks to the screen. The same\n'
         'seed gives the same result, whatever the number of processes. An interrupted run\n'

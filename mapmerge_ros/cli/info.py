@@ -31,12 +31,12 @@ ABOUT_ALL = (
 """How a column that says the same of every sub-map is put in words; empty = always a column."""
 
 
-def add_parser(subparsers: Subparsers) -> None:
+def add_parser(subparsers: Subparsers, summary: str) -> None:
     """Register the command."""
     parser = options.add_command(
         subparsers,
         'info',
-        'what is inside a recording',
+        summary,
         'Show the sub-maps of recordings, and which of them show the same place: by equal ids\n'
         'within an id space, by descriptors and geometry elsewhere, with the reason where two\n'
         'are not joined.',

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -12,11 +13,20 @@ from collections.abc import Sequence
 from threadpoolctl import threadpool_limits
 
 from mapmerge_ros import __version__
-from mapmerge_ros.cli import compress, demo, experiment, info, record, refine, replay, simulate
 from mapmerge_ros.cli.options import UsageError
 from mapmerge_ros.errors import MapMergeError
 
-COMMANDS = (compress, replay, refine, info, record, simulate, demo, experiment)
+COMMANDS = {
+    'compress': 'COLMAP models to compressed sub-maps',
+    'replay': 'recordings to one merged map, with report',
+    'refine': 'rounds of merging and linearising again, with the models at hand',
+    'info': 'what is inside a recording',
+    'record': 'sub-maps, requests and results of running nodes to a recording',
+    'simulate': 'drones over a yard as a recording, with truth',
+    'demo': 'the real nodes on real topics, and the result checked',
+    'experiment': "the paper's experiments and ours, with figures",
+}
+"""What each does; its module of this name knows the options."""
 
 EXIT_ERROR, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 
@@ -33,8 +43,12 @@ exit codes: 0 a result was written, whatever its verdict; 1 the input cannot be 
 """
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Parser of all commands."""
+def build_parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
+    """
+    Parser of all commands, with the options of the one that the arguments name.
+
+    Modules of the others are not even imported: a user waits for that.
+    """
     parser = argparse.ArgumentParser(
         prog='mapmerge',
         description=DESCRIPTION,
@@ -45,14 +59,20 @@ def build_parser() -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(
         dest='command', metavar='COMMAND', title='commands', required=True
     )
-    for command in COMMANDS:
-        command.add_parser(subparsers)
+    named = next((word for word in arguments if not word.startswith('-')), None)
+    for command, summary in COMMANDS.items():
+        if command == named:
+            module = importlib.import_module(f'mapmerge_ros.cli.{command}')
+            module.add_parser(subparsers, summary)
+        else:
+            subparsers.add_parser(command, help=summary)
     return parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code."""
-    args = build_parser().parse_args(argv)
+    arguments = sys.argv[1:] if argv is None else argv
+    args = build_parser(arguments).parse_args(arguments)
     try:
         # Two BLAS threads on small matrices cost ten times as much as one.
         with threadpool_limits(1):

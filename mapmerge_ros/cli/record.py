@@ -24,12 +24,12 @@ class RosMissingError(MapMergeError):
     """The command needs ROS."""
 
 
-def add_parser(subparsers: Subparsers) -> None:
+def add_parser(subparsers: Subparsers, summary: str) -> None:
     """Register the command."""
     parser = options.add_command(
         subparsers,
         'record',
-        'sub-maps, requests and results of running nodes to a recording',
+        summary,
         'Record every topic of mapmerge_msgs until Ctrl-C, latched messages from before\n'
         'included. The file appears when the recording ends. `ros2 bag play` and\n'
         '`mapmerge replay` take it.',

@@ -24,12 +24,12 @@ from mapmerge_ros.io.summary import Traffic
 from mapmerge_ros.io.wording import verdict_sentences
 
 
-def add_parser(subparsers: Subparsers) -> None:
+def add_parser(subparsers: Subparsers, summary: str) -> None:
     """Register the command."""
     parser = options.add_command(
         subparsers,
         'refine',
-        'rounds of merging and linearising again, with the models at hand',
+        summary,
         'Merge models, hand the landmarks back, let every model re-optimise its own cameras and\n'
         'points, compress again, and so on: Gauss-Newton on the full bundle of all models, with\n'
         'nothing but compressed sub-maps exchanged. The true cost never rises.\n'

@@ -30,12 +30,12 @@ NANOSECONDS = 1_000_000_000
 DEFAULTS = FusionConfig()
 
 
-def add_parser(subparsers: Subparsers) -> None:
+def add_parser(subparsers: Subparsers, summary: str) -> None:
     """Register the command."""
     parser = options.add_command(
         subparsers,
         'replay',
-        'recordings to one merged map, with report',
+        summary,
         'Replay recorded sub-maps (mcap file or rosbag2 folder) through the engine of the\n'
         'fusion node, its timer in the time of the recording: the same files give the same map\n'
         'at any rate. Writes summary.json, landmarks.csv, global_map.mcap, global_map.ply and\n'

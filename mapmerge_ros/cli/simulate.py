@@ -38,12 +38,12 @@ RECORDING_NS = 20_000_000_000
 FLEET, SENSING, FUSION = FleetConfig(), Sensing(), FusionConfig()
 
 
-def add_parser(subparsers: Subparsers) -> None:
+def add_parser(subparsers: Subparsers, summary: str) -> None:
     """Register the command."""
     parser = options.add_command(
         subparsers,
         'simulate',
-        'drones over a yard as a recording, with truth',
+        summary,
         'Fly drones over a simulated yard, bundle the map of each and write their compressed\n'
         'sub-maps as a recording, one after the other. What is true goes to OUT.truth.json\n'
         'beside OUT.mcap; replay then says how far the merged map is from it.',

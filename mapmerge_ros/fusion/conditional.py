@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.distributions import tail
 from mapmerge_ros.fusion.element import coordinates
-from mapmerge_ros.fusion.local import LocalTests, Sensitivity, tail
+from mapmerge_ros.fusion.local import LocalTests, Sensitivity
 
 T = TypeVar('T', bound=np.generic)
 

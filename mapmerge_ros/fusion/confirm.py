@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.distributions import chi2_tail
 from mapmerge_ros.fusion.contrasts import SMOOTH_RADII
 from mapmerge_ros.fusion.covariance_model import CovarianceModel
 from mapmerge_ros.fusion.local import Sensitivity
@@ -89,7 +89,7 @@ def members_of(objects: tuple[MovedObject, ...] | list[MovedObject]) -> Ints:
 def p_objects(objects: tuple[MovedObject, ...], model: CovarianceModel) -> float:
     """Probability that the strongest of the objects is an error under the model."""
     strongest = max((moved.statistic for moved in objects), default=0.0)
-    return float(scipy.stats.chi2.sf(strongest / model.tails.mean, 3))
+    return float(chi2_tail(strongest / model.tails.mean, 3))
 
 
 def _stands(moved: MovedObject, model: CovarianceModel, radius: float) -> bool:

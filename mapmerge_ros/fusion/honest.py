@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.distributions import binomial_tail, chi2_quantile, tail
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.conditional import conditional_tests
 from mapmerge_ros.fusion.confirm import (
@@ -36,7 +36,7 @@ from mapmerge_ros.fusion.covariance_model import (
 )
 from mapmerge_ros.fusion.doubtful import doubtful_members
 from mapmerge_ros.fusion.examination import Examination, by_textbook
-from mapmerge_ros.fusion.local import Sensitivity, forward_selection, sensitivity, tail
+from mapmerge_ros.fusion.local import Sensitivity, forward_selection, sensitivity
 from mapmerge_ros.fusion.objects import (
     LEAST_STATISTIC,
     MovedObject,
@@ -90,7 +90,7 @@ Fits with other objects off, until these are those that stand under the fit; one
 A model in which an object had no say that is none any more would be too narrow for the rest.
 """
 
-MEDIAN_CHI2 = float(scipy.stats.chi2.median(3))
+MEDIAN_CHI2 = chi2_quantile(0.5, 3)
 
 
 def examine(
@@ -214,7 +214,7 @@ def _judged(fitted: Fitted, redundancy: float) -> Examination:
     bad = int((p_values < BAD_LEVEL).sum())
     parts = (
         float(tail(np.array(fitted.price), fitted.dof, redundancy)),
-        float(scipy.stats.binom.sf(bad - 1, count, BAD_SHARE)),
+        binomial_tail(bad, count, BAD_SHARE),
         float(-np.expm1(count * np.log1p(-p_values.min(initial=0.5)))),
     )
     p_value = min(1.0, len(parts) * min(parts))

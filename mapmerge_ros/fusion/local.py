@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
-import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints, Mask
+from mapmerge_ros.distributions import tail
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.dense_inverse import DenseInverse
 from mapmerge_ros.fusion.element import coordinates
@@ -252,10 +252,3 @@ def forward_selection(
         state = state.unlock(np.array([best]))
         found.append(best)
     return state, np.array(found, np.int64)
-
-
-def tail(statistic: Floats, dof: float, redundancy: float) -> Floats:
-    """Probability of a larger statistic: χ², or F where the variance is estimated."""
-    if np.isinf(redundancy):
-        return np.asarray(scipy.stats.chi2.sf(statistic, dof))
-    return np.asarray(scipy.stats.f.sf(statistic / dof, dof, redundancy))

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse.csgraph
-import scipy.stats
 from scipy.spatial import cKDTree
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.association.align_pair import variances
+from mapmerge_ros.distributions import chi2_tail
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.changes import Change, Kind
 from mapmerge_ros.fusion.names import Names
@@ -218,8 +218,8 @@ def _told(
     group: Sequence[_Displaced], submaps: Sequence[SubMap], names: Names, object_id: int
 ) -> list[Change]:
     squares = [float(np.sum(x.displacement_global**2)) / x.variance for x in group]
-    alone = np.atleast_1d(scipy.stats.chi2.sf(np.array(squares), 3))
-    together = float(scipy.stats.chi2.sf(sum(squares), 3 * len(squares)))
+    alone = np.atleast_1d(chi2_tail(np.array(squares), 3))
+    together = float(chi2_tail(sum(squares), 3 * len(squares)))
     return [
         Change(
             map_id=submaps[x.member.slot].map_id,

@@ -17,17 +17,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.stats
 from scipy.spatial import cKDTree
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.distributions import chi2_quantile, chi2_tail
 from mapmerge_ros.fusion.local import Sensitivity
 from mapmerge_ros.geometry import Gauge, generators
 
 TRANSLATION, RIGID = 3, 6
 """Degrees of freedom of a common motion, the first columns of the basis."""
 
-RIGID_FACTOR = float(scipy.stats.chi2.isf(scipy.stats.chi2.sf(40.0, 3), 6)) / 40.0
+RIGID_FACTOR = chi2_quantile(float(chi2_tail(40.0, 3)), 6) / 40.0
 """By how much χ²(6) must be larger than χ²(3) to be as improbable, at p = 1e-8."""
 
 RIDGE = 1e-9

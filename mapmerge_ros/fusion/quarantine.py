@@ -14,8 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
 
+from mapmerge_ros.distributions import chi2_tail
 from mapmerge_ros.fusion.outgoing import Merged
 
 Group = tuple[int, ...]
@@ -140,7 +140,7 @@ class Search:
         price = verdict.a_tilde - sum(each.a_tilde for each in rest)
         noise = verdict.sigma**2 * max(1.0, rest[0].variance_factor)
         statistic = max(price, 0.0) / noise
-        p_value = float(scipy.stats.chi2.sf(statistic, max(dof, 1)))
+        p_value = float(chi2_tail(statistic, max(dof, 1)))
         left = sum(each.a_tilde / verdict.sigma**2 - each.dof for each in rest)
         left += PRICE_OF_A_CHANGE * sum(len(part.component.changes) for _, part in parts)
         spread = 2.0 * float(np.sqrt(2.0 * sum(each.dof for each in rest)))

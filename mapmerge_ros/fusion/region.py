@@ -11,9 +11,9 @@ follows.
 from __future__ import annotations
 
 import numpy as np
-import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ids, Ints
+from mapmerge_ros.distributions import tail
 from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.fusion.informations import informations
 from mapmerge_ros.fusion.joint.cost import JointCost
@@ -52,9 +52,7 @@ def p_value_of(fusion: Fusion, ids: Ids, points: Floats) -> float:
     price = cost.reduced().evaluate(positions).cost
     rise = max(price - fusion.verdict.a_tilde, 0.0) / noise.sigma**2
     freedom = 3 * len(shared) - int(fusion.components[0].gauge)
-    if noise.estimated_from:
-        return float(scipy.stats.f.sf(rise / freedom, freedom, noise.estimated_from))
-    return float(scipy.stats.chi2.sf(rise, freedom))
+    return float(tail(rise, freedom, noise.estimated_from or np.inf))
 
 
 def _published(fusion: Fusion) -> list[SubMap]:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import scipy.optimize
-import scipy.stats
 
 from mapmerge_ros.arrays import Floats
+from mapmerge_ros.distributions import chi2_tail, f_log_density, f_log_distribution, f_tail
 
 GAUSSIAN_FREEDOM = 400.0
 """ν from which F(3, ν) cannot be told from χ²(3) by any number of landmarks here."""
@@ -46,8 +46,8 @@ class Tails:
         """Of statistics with 3 degrees of freedom; `redundancy` behind the variances."""
         freedom = min(self.freedom, redundancy)
         if np.isinf(freedom):
-            return np.asarray(scipy.stats.chi2.sf(statistic, 3))
-        return np.asarray(scipy.stats.f.sf(statistic / (3.0 * self.scale), 3, freedom))
+            return chi2_tail(statistic, 3)
+        return f_tail(statistic / (3.0 * self.scale), 3, freedom)
 
 
 GAUSSIAN = Tails(1.0, np.inf)
@@ -94,5 +94,7 @@ def are_gaussian(statistics: Floats, highest: float) -> bool:
 
 
 def _surprise(inside: Floats, highest: float, scale: float, freedom: float) -> float:
-    law = scipy.stats.f(3, freedom, scale=3.0 * scale)
-    return float(len(inside) * law.logcdf(highest) - law.logpdf(inside).sum())
+    unit = 3.0 * scale
+    densities = f_log_density(inside / unit, 3, freedom) - np.log(unit)
+    below = f_log_distribution(highest / unit, 3, freedom)
+    return float(len(inside) * below - densities.sum())

@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.distributions import chi2_quantile
 from mapmerge_ros.fusion.contrasts import Contrasts
 from mapmerge_ros.fusion.likelihood import Weighing
 
-TRIM = float(scipy.stats.chi2.isf(1e-3, 3))
+TRIM = chi2_quantile(1e-3, 3)
 """Statistic beyond which a landmark has no say in the fit: of Gaussian ones, one in a thousand."""
 
 MOST_ASIDE = 0.25

@@ -7,9 +7,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.stats
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.distributions import PriceLaw
 from mapmerge_ros.fusion import Verdict
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.io.map_points import SEVERAL, MapPoints
@@ -96,13 +96,12 @@ def density(verdict: Verdict, redundancy: int) -> str:
     found, dof = price_and_expected(verdict)
     if not dof or not np.isfinite(found):
         return ''
-    estimated = max(redundancy, 5)
-    law = scipy.stats.f(dof, estimated, scale=dof) if redundancy else scipy.stats.chi2(dof)
-    mean, spread = float(law.mean()), float(law.std())
+    law = PriceLaw(dof, max(redundancy, 5) if redundancy else np.inf)
+    mean, spread = law.mean, law.std
     low = max(0.0, min(mean - 5.0 * spread, found - spread))
     high = min(max(mean + 5.0 * spread, found + spread), mean + MAX_SPREADS * spread)
     values = np.linspace(low, high, 300)
-    heights = law.pdf(values)
+    heights = law.density(values)
     heights = heights / heights[np.isfinite(heights)].max()
     right, base = WIDTH - 20.0, 190.0
     x = 20.0 + (values - low) / (high - low) * (right - 20.0)

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
 
 from mapmerge_ros.arrays import Floats
+from mapmerge_ros.distributions import chi2_tail
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion import Change
 from mapmerge_ros.geometry import Gauge, align, skew
@@ -110,5 +110,5 @@ def _turn(before: Floats, after: Floats, covariance: Floats) -> float:
     # An axis whose variance cannot be read is taken to be as uncertain as the worst.
     known = np.where(variances > 1e-6 * variances.max(), variances, variances.max())
     statistic = float(np.sum((axes.T @ vector) ** 2 / known))
-    is_turned = scipy.stats.chi2.sf(statistic, 3) < TURNED_LEVEL
+    is_turned = chi2_tail(statistic, 3) < TURNED_LEVEL
     return float(np.linalg.norm(vector)) if is_turned else 0.0
