@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parents[1] / 'mapmerge_ros'
 LAYERS = [
     {'errors'},
     {'arrays'},
-    {'distributions'},
+    {'blas', 'distributions'},
     {'geometry'},
     {'submap'},
     {'bundle'},

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg
 
 from mapmerge_ros.arrays import Floats, Ids, Ints, Mask
+from mapmerge_ros.blas import inverse_of_positive
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import Element, Placement, coordinates
 from mapmerge_ros.fusion.merge import assemble
@@ -43,7 +44,7 @@ class Normal:
         null = gauge_basis(self.points, self.gauge)
         weight = float(np.mean(np.diag(self.information)))
         try:
-            inverse = _inverse(self.information + weight * null @ null.T)
+            inverse = inverse_of_positive(self.information + weight * null @ null.T)
         except np.linalg.LinAlgError:
             raise DegenerateGeometry('a merged landmark is not determined') from None
         return sigma**2 * (inverse - null @ null.T / weight)
@@ -104,8 +105,3 @@ def most_useful(views: Ints, ids: Ids, limit: int) -> Mask:
     keep = np.zeros(len(views), bool)
     keep[np.lexsort((ids, -views))[:limit]] = True
     return keep
-
-
-def _inverse(matrix: Floats) -> Floats:
-    factor = scipy.linalg.cho_factor(matrix, check_finite=False)
-    return np.asarray(scipy.linalg.cho_solve(factor, np.eye(len(matrix)), check_finite=False))

@@ -13,11 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse
 import scipy.spatial.distance
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.blas import inverse_of_positive
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.quadratic import Quadratic
@@ -205,10 +205,9 @@ def shape_covariance(information: Floats, basis: Floats) -> Floats:
     """
     weight = float(np.diag(information).mean())
     try:
-        factor = scipy.linalg.cho_factor(information + weight * basis @ basis.T)
+        return inverse_of_positive(information + weight * basis @ basis.T)
     except np.linalg.LinAlgError:
         raise DegenerateGeometry('a landmark is not determined within its sub-map') from None
-    return np.asarray(scipy.linalg.cho_solve(factor, np.eye(len(information))))
 
 
 def _helmert(tracks: Ints, views: Ints) -> tuple[scipy.sparse.csr_array, Ints]:

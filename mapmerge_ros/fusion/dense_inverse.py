@@ -7,9 +7,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import scipy.linalg
 
 from mapmerge_ros.arrays import Floats
+from mapmerge_ros.blas import inverse_of_positive
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.quadratic import Quadratic
@@ -39,10 +39,9 @@ class DenseInverse:
         null = gauge_basis(merge.points, merge.gauge)
         hessian += np.diag(hessian).mean() * null @ null.T
         try:
-            factor = scipy.linalg.cho_factor(hessian, check_finite=False)
+            self._inverse = inverse_of_positive(hessian)
         except np.linalg.LinAlgError:
             raise DegenerateGeometry('a merged landmark is not determined') from None
-        self._inverse = scipy.linalg.cho_solve(factor, np.eye(len(hessian)), check_finite=False)
 
     def solve(self, right: Floats) -> Floats:
         """Solve for right-hand sides (3n, m)."""

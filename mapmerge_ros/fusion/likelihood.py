@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-import scipy.linalg.lapack
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.blas import cholesky, inverse_of_factored
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.contrasts import Contrasts
 
@@ -59,14 +59,15 @@ def weigh(data: Contrasts, variances: Floats) -> Weighing:
         The covariance is not definite.
 
     """
-    factor, failed = scipy.linalg.lapack.dpotrf(
-        data.covariance(variances), lower=1, clean=1, overwrite_a=1
-    )
-    if failed:
-        raise DegenerateGeometry('the differences of the sub-maps have no definite covariance')
+    factor = np.asfortranarray(data.covariance(variances))
+    try:
+        cholesky(factor)
+    except np.linalg.LinAlgError:
+        raise DegenerateGeometry(
+            'the differences of the sub-maps have no definite covariance'
+        ) from None
     log_det = _log_det(factor)
-    inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)
-    precision = inverse + np.tril(inverse, -1).T
+    precision = inverse_of_factored(factor)
     if data.frames.shape[1]:
         seen = precision @ data.frames
         inner = scipy.linalg.cholesky(data.frames.T @ seen, lower=True)

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.distributions import tail
@@ -110,8 +109,8 @@ class Sensitivity:
             factor = np.linalg.cholesky(0.5 * (block + block.T))
         except np.linalg.LinAlgError:
             raise DegenerateGeometry('a landmark without partner cannot be unlocked') from None
-        added = scipy.linalg.solve_triangular(factor, columns.T, lower=True).T
-        white = scipy.linalg.solve_triangular(factor, self.score[chosen].ravel(), lower=True)
+        added = np.linalg.solve(factor, columns.T).T
+        white = np.linalg.solve(factor, self.score[chosen].ravel())
         unlocked = ~self.locked
         unlocked[chosen] = True
         return replace(

@@ -78,9 +78,8 @@ def factor_information(
     """
     weight = _typical(np.diag(information))
     try:
-        factor = scipy.linalg.cholesky(
-            information + weight * null_basis @ null_basis.T, check_finite=False
-        )
+        # NumPy's leaves the interpreter to others meanwhile, SciPy's does not.
+        factor = np.linalg.cholesky(information + weight * null_basis @ null_basis.T).T
     except np.linalg.LinAlgError:
         raise DegenerateGeometry(UNDETERMINED) from None
     vector = scipy.linalg.solve_triangular(factor, gradient, trans='T', check_finite=False)

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg.blas import dtrmm, dtrmv, strmm, strmv
-from scipy.linalg.lapack import dlauum
+from scipy.linalg.blas import dtrmv, strmm, strmv
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.blas import square_of_lower, times_lower
 from mapmerge_ros.fusion.joint.fronts import Front, Fronts, Run
 
 LARGEST_KEPT = 2**26
@@ -79,7 +79,7 @@ class Factor:
         solved = self._sorted(right)
         self._forward(solved)
         if change:
-            moved, answer = solved.copy(), np.zeros_like(solved)
+            moved, answer = solved.copy(order='F'), np.zeros_like(solved)
             self._backward(moved, change.path)
             answer[change.places] = change.response @ moved[change.places]
             self._forward(answer)
@@ -108,7 +108,7 @@ class Factor:
                 own = slice(front.start, front.start + front.eliminated)
                 if not solved[own].any():
                     continue  # what one map says goes from its leaf to the root, and nowhere else
-                solved[own] = _times_lower(block.inverse, solved[own])
+                _times_lower(solved[own], block.inverse)
                 if len(front.boundary):
                     solved[front.boundary] -= block.below @ solved[own]
 
@@ -118,10 +118,9 @@ class Factor:
             front, block = self.fronts.fronts[node], self.blocks[node]
             if front.eliminated:
                 own = slice(front.start, front.start + front.eliminated)
-                right = solved[own]
                 if len(front.boundary):
-                    right = right - block.below.T @ solved[front.boundary]
-                solved[own] = _times_lower(block.inverse, right, transposed=1)
+                    solved[own] -= block.below.T @ solved[front.boundary]
+                _times_lower(solved[own], block.inverse, transposed=True)
 
     def inverse_blocks(self) -> Iterator[tuple[Front, Floats]]:
         """
@@ -182,24 +181,28 @@ class Carried:
         return solved.reshape(-1, 3)[self.numbers].ravel() / self.scale
 
 
-def _times_lower(lower: Floats, right: Floats, transposed: int = 0) -> Floats:
-    """Lower triangle or its transpose times (k, m)."""
+def _times_lower(right: Floats, lower: Floats, *, transposed: bool = False) -> None:
+    """Lower triangle or its transpose times (k, m), in its place."""
     exact = lower.dtype == np.float64
     if right.shape[1] == 1:
         multiply = dtrmv if exact else strmv
-        return multiply(lower, right[:, 0], lower=1, trans=transposed)[:, None]
-    by_matrix = dtrmm if exact else strmm
-    return by_matrix(1.0, lower, right, lower=1, trans_a=transposed)
+        right[:, 0] = multiply(lower, right[:, 0], lower=1, trans=transposed)
+    elif exact:
+        times_lower(right, lower, transposed=transposed)
+    else:
+        right[...] = strmm(1.0, lower, right, lower=1, trans_a=transposed)
 
 
 def _inverse(block: Block, boundary: Floats) -> Floats:
     """Inverse (k + b, k + b) of a front from that of its boundary (b, b), both full."""
     k, b = len(block.inverse), len(boundary)
     inverse = np.empty((k + b, k + b), order='F')
-    lower = dlauum(block.inverse, lower=1)[0]  # above the diagonal both are zero
+    lower = block.inverse.copy(order='F')  # above the diagonal it is zero
+    square_of_lower(lower)
     own = mirrored(lower)
     if b:
-        coupling = dtrmm(1.0, block.inverse, block.below, side=1, lower=1)
+        coupling = block.below.copy(order='F')
+        times_lower(coupling, block.inverse, right=True)
         pulled = boundary @ coupling
         own += coupling.T @ pulled
         inverse[k:, :k], inverse[:k, k:] = -pulled, -pulled.T

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.linalg.blas import dsyrk, dtrmm
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.blas import add_square, times_lower
 from mapmerge_ros.fusion.joint.factor import Block, Factor
 from mapmerge_ros.fusion.joint.fronts import Front, Fronts
 from mapmerge_ros.fusion.joint.stacks import Stacks
@@ -128,8 +128,8 @@ def _eliminate(pivot: Floats, below: Floats, rest: Floats) -> None:
     _invert(pivot)
     if len(below):
         # A product with the inverse is three times as fast as a triangular solve, here and later.
-        dtrmm(1.0, pivot, below, side=1, lower=1, trans_a=1, overwrite_b=1)
-        dsyrk(-1.0, below, beta=1.0, c=rest, lower=1, overwrite_c=1)
+        times_lower(below, pivot, transposed=True, right=True)
+        add_square(rest, below, -1.0)
 
 
 def _invert(matrix: Floats) -> None:
@@ -140,20 +140,17 @@ def _invert(matrix: Floats) -> None:
     [A⁻¹; -C⁻¹B A⁻¹, C⁻¹].
     """
     if len(matrix) <= SMALL:
-        _, failed = dpotrf(matrix, lower=1, clean=1, overwrite_a=1)
-        if failed or not np.isfinite(np.diag(matrix)).all():
+        factor, failed = dpotrf(matrix, lower=1, clean=1)
+        if failed or not np.isfinite(np.diag(factor)).all():
             raise np.linalg.LinAlgError('a front is not positive definite')
-        dtrtri(matrix, lower=1, overwrite_c=1)
+        matrix[...] = dtrtri(factor, lower=1, overwrite_c=1)[0]
         return
     half = len(matrix) // 2
-    first = matrix[:half, :half].copy(order='F')
-    lower = matrix[half:, :half].copy(order='F')
-    second = matrix[half:, half:].copy(order='F')
+    first, lower, second = matrix[:half, :half], matrix[half:, :half], matrix[half:, half:]
     _invert(first)
-    dtrmm(1.0, first, lower, side=1, lower=1, trans_a=1, overwrite_b=1)
-    dsyrk(-1.0, lower, beta=1.0, c=second, lower=1, overwrite_c=1)
+    times_lower(lower, first, transposed=True, right=True)
+    add_square(second, lower, -1.0)
     _invert(second)
-    dtrmm(-1.0, second, lower, lower=1, overwrite_b=1)
-    dtrmm(1.0, first, lower, side=1, lower=1, overwrite_b=1)
-    matrix[:half, :half], matrix[half:, half:] = first, second
-    matrix[half:, :half], matrix[:half, half:] = lower, 0.0
+    times_lower(lower, second, -1.0)
+    times_lower(lower, first, right=True)
+    matrix[:half, half:] = 0.0

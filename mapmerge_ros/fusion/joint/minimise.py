@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg.blas import dsyrk
 
 from mapmerge_ros.arrays import Floats, Ints, Mask
+from mapmerge_ros.blas import add_square
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.joint import derivatives
@@ -222,7 +222,7 @@ def gauss_newton(
     holder = middle(cost, state.points) if gauge else -1
 
     def element(k: int, order: Ints, out: Floats) -> None:
-        dsyrk(1.0, jacobians.of(k, order).T, c=out, lower=1, overwrite_c=1)
+        add_square(out, jacobians.of(k, order).T, beta=0.0)
         if damping:
             diagonal = np.einsum('ii->i', out)
             diagonal *= 1.0 + damping
@@ -246,7 +246,7 @@ def held_by(cost: JointCost, state: State, gauge: Gauge, k: int, order: Ints, ou
     held = np.zeros((len(rows), 3, basis.shape[1]))
     held[used] = basis.reshape(-1, 3, basis.shape[1])
     size = np.einsum('ii->i', out).reshape(-1, 3)[used].mean()
-    dsyrk(size, held.reshape(len(out), -1), beta=1.0, c=out, lower=1, overwrite_c=1)
+    add_square(out, np.asfortranarray(held.reshape(len(out), -1)), size)
 
 
 def middle(cost: JointCost, points: Floats) -> int:

@@ -7,9 +7,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from scipy.linalg.blas import dsyrk
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.blas import add_square
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.joint import derivatives
@@ -120,6 +120,7 @@ def _informations(cost: JointCost, state: State, sigma: float) -> tuple[Floats, 
     jacobians, lengths = derivatives.Jacobians(cost, state), cost.segments.lengths
     found = []
     for k, length in enumerate(lengths):
-        lower = dsyrk(1.0 / sigma**2, jacobians.of(k, np.arange(length)).T, lower=1)
+        lower = np.zeros((3 * length, 3 * length), order='F')
+        add_square(lower, jacobians.of(k, np.arange(length)).T, 1.0 / sigma**2)
         found.append(mirrored(lower))
     return tuple(found)
