@@ -15,7 +15,14 @@ from mapmerge_ros.bundle import Bundle, MapName
 from mapmerge_ros.bundle.lens import Lens
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.io import NamedBundle
-from mapmerge_ros.submap import Descriptors, DescriptorType, Source, SubMap
+from mapmerge_ros.submap import (
+    Descriptors,
+    DescriptorType,
+    Source,
+    SubMap,
+    pack,
+    upper_from_symmetric,
+)
 
 DATA = Path(__file__).resolve().parents[2] / 'shared' / 'data'
 
@@ -40,7 +47,9 @@ def random_submap(rng: np.random.Generator, **changes: Any) -> SubMap:
     n = int(rng.integers(4, 40))
     m = int(rng.integers(3, n + 1)) if rng.random() < 0.7 else 0
     rank, columns = max(3 * m - int(gauge), 0), 3 * m
-    packed = rng.normal(size=rank * columns - rank * (rank - 1) // 2)
+    trapezoid = rng.normal(size=(rank, columns)) / max(columns, 1)
+    np.fill_diagonal(trapezoid, rng.uniform(1.0, 2.0, rank))
+    roots = rng.normal(size=(n, 3, 3))
     dof = int(rng.integers(10, 1000))
     map_id = f'drone{rng.integers(100)}/{rng.integers(10000):04d}'
     values: dict[str, Any] = {
@@ -54,10 +63,12 @@ def random_submap(rng: np.random.Generator, **changes: Any) -> SubMap:
         'id_space': str(rng.choice(['', 'fleet'])),
         'landmark_ids': rng.choice(10**6, n, replace=False).astype(np.uint64) + 2**63,
         'points': rng.normal(size=(n, 3)),
-        'covariances': rng.normal(size=(n, 6)) if rng.random() < 0.5 else None,
+        'covariances': (
+            upper_from_symmetric(roots @ roots.swapaxes(1, 2)) if rng.random() < 0.5 else None
+        ),
         'compressed_count': m,
         'a': float(rng.random()),
-        'packed_r': packed.astype(np.float32),
+        'packed_r': pack(trapezoid).astype(np.float32),
         'c': (rng.normal(size=rank) * (rng.random() < 0.5)).astype(np.float32),
         'residual_count': dof + int(rng.integers(1, 1000)),
         'dof': dof,

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from submaps import assert_same, random_bundle, random_submap
 
-from mapmerge_ros.errors import MapMergeError
+from mapmerge_ros.errors import InvalidValue, MapMergeError
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.io import (
     MAX_MESSAGE_BYTES,
@@ -254,7 +254,6 @@ def test_what_no_field_can_hold_is_not_sent() -> None:
     for change, reason in (
         ({'stamp_ns': 2**31 * 10**9}, 'stamp_ns'),
         ({'revision': 2**32}, 'revision'),
-        ({'c': np.full(len(submap.c), 1e39)}, 'c: a value does not fit'),
     ):
         with pytest.raises(InvalidMessage, match=reason):
             encode_submap(replace(submap, **change))
@@ -280,3 +279,27 @@ def test_values_are_not_views_of_the_message() -> None:
     message.r[:] = 7.0
     assert (submap.packed_r == 1.0).all()
     assert not submap.packed_r.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ('rows', 'reason'),
+    [
+        ([-1.0, 0, 0, 1, 0, 1], 'a variance of -1 is negative'),
+        ([1.0, 0, 0, -1e-3, 0, 1], 'is negative'),
+        ([1.0, 1.5, 0, 1, 0, 1], 'a correlation above 1'),
+        ([1.0, 0, 0, 1, -2.0, 1], 'a correlation above 1'),
+    ],
+)
+def test_what_is_no_covariance_is_refused(rows: list[float], reason: str) -> None:
+    submap = small_submap()
+    covariances = np.tile([1.0, 0, 0, 1, 0, 1], (len(submap.points), 1))
+    assert replace(submap, covariances=covariances).covariances is not None
+    covariances[1] = rows
+    with pytest.raises(InvalidValue, match=reason):
+        replace(submap, covariances=covariances)
+
+
+def test_an_offset_beyond_all_of_the_map_is_refused() -> None:
+    submap = small_submap()
+    with pytest.raises(InvalidValue, match='c: its norm is 1e\\+09 px'):
+        replace(submap, c=np.full(len(submap.c), 1e9 / np.sqrt(len(submap.c))))

@@ -21,6 +21,8 @@ class Receipt:
     reason: str = ''
     restarted: bool = False
     """Whether its robot counts revisions anew"""
+    taken: bool = False
+    """Whether the map_id is that of another robot"""
 
 
 class Store:
@@ -32,7 +34,7 @@ class Store:
 
     def add(self, submap: SubMap) -> Receipt:
         """
-        Take a sub-map in, unless it is our own output or no newer than what is here.
+        Take a sub-map in, unless it is our own output, no newer than what is here, or named alike.
 
         A robot that was restarted under its name may count revisions from the beginning. What it
         sends then has newer measurements than anything from its life before, which no late
@@ -41,6 +43,13 @@ class Store:
         if submap.map_id == self._own_map_id:
             return Receipt(False, f'{submap.map_id} is the map that this fusion publishes')
         known = self._submaps.get(submap.map_id)
+        if known is not None and known.robot_id != submap.robot_id:
+            return Receipt(
+                False,
+                f'map_id {submap.map_id} belongs to robot {known.robot_id!r}: '
+                f'robot {submap.robot_id!r} needs one of its own',
+                taken=True,
+            )
         is_newer = known is None or known.revision < submap.revision
         if known is not None and not is_newer and not _is_of_next_life(submap, known):
             return Receipt(False, f'revision {submap.revision} is not newer than {known.revision}')
@@ -70,12 +79,22 @@ def without_duplicates(
     """
     Sub-maps without a common leaf, and those left out so that no data counts twice.
 
-    The sub-map with more leaves stays; between equals the one whose map_id comes first.
+    A merged map whose leaves are all here themselves adds nothing to them (as where the output of
+    a fusion was recorded beside its inputs). Of others the one with more leaves stays; between
+    equals the one whose map_id comes first.
     """
     by_size = sorted(submaps, key=lambda submap: (-len(submap.sources), submap.map_id))
+    leaves_here = {one.map_id: one.revision for one in by_size if _is_leaf(one)}
     owners: dict[str, str] = {}
     kept, refused = [], []
     for submap in by_size:
+        if not _is_leaf(submap) and all(
+            leaves_here.get(source.map_id, -1) >= source.revision for source in submap.sources
+        ):
+            count = len(submap.sources)
+            reason = f'all it is merged from ({count} sub-maps) is here itself, and as new'
+            refused.append(Refusal(submap.map_id, reason))
+            continue
         leaves = [source.map_id for source in submap.sources]
         twice = next((leaf for leaf in leaves if leaf in owners), None)
         if twice is None:
@@ -85,3 +104,7 @@ def without_duplicates(
             reason = f'its data would count twice: {twice} is already inside {owners[twice]}'
             refused.append(Refusal(submap.map_id, reason))
     return tuple(sorted(kept, key=lambda submap: submap.map_id)), tuple(refused)
+
+
+def _is_leaf(submap: SubMap) -> bool:
+    return [source.map_id for source in submap.sources] == [submap.map_id]

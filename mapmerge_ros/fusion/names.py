@@ -45,7 +45,8 @@ def name_landmarks(submaps: Sequence[SubMap], association: Association) -> Names
     spaces = {submap.id_space for submap in submaps}
     if len(submaps) == 1 or (len(spaces) == 1 and '' not in spaces):
         own_ids = _current_first(submaps, association)
-        return Names(own_ids, submaps[0].id_space, association.nameless)
+        nameless = association.nameless & _claimed_twice(submaps, association)
+        return Names(own_ids, submaps[0].id_space, nameless)
     tracks = [
         np.concatenate([own, others])
         for own, others in zip(association.tracks, association.catalogues, strict=True)
@@ -55,6 +56,15 @@ def name_landmarks(submaps: Sequence[SubMap], association: Association) -> Names
         names[own] = private_names(submap.map_id, submap.landmark_ids)
     nameless = np.zeros(association.count, bool)
     return Names(tuple(names[own] for own in tracks), '', nameless)
+
+
+def _claimed_twice(submaps: Sequence[SubMap], association: Association) -> Mask:
+    """Tracks (count,) whose id another track of these sub-maps has as well."""
+    ids = np.zeros(association.count, np.uint64)
+    for submap, tracks in zip(submaps, association.tracks, strict=True):
+        ids[tracks] = submap.compressed_ids
+    _, which, counts = np.unique(ids, return_inverse=True, return_counts=True)
+    return np.asarray(counts[which] > 1)
 
 
 def _current_first(submaps: Sequence[SubMap], association: Association) -> tuple[Ids, ...]:

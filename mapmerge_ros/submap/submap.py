@@ -18,6 +18,12 @@ from mapmerge_ros.submap.triangle import pack, packed_size, triangulate, unpack
 LARGEST = 1e15
 """Of any number in a sub-map: its square still leaves room in float64 and float32."""
 
+LEAST_OFFSET = 1e4
+"""Norm of `c` [px] below which nobody asks whether it can be."""
+
+ROUNDING = 1e-4
+"""Relative error of a covariance that was computed in float32."""
+
 
 @dataclass(frozen=True, slots=True, order=True)
 class Source:
@@ -119,7 +125,10 @@ class SubMap:
         if not 0.0 <= self.a <= LARGEST:
             raise InvalidValue(f'a: {self.a} is not between 0 and {LARGEST:g}')
         if self.sigma != 0.0 and not 1.0 / LARGEST <= self.sigma <= LARGEST:
-            raise InvalidValue(f'sigma: {self.sigma} is neither 0 nor {1 / LARGEST:g} or more')
+            raise InvalidValue(
+                f'sigma: {self.sigma:g} is neither 0 nor from {1 / LARGEST:g} to {LARGEST:g}'
+            )
+        self._check_covariances()
         if _largest(self.points) > LARGEST:
             raise InvalidValue(f'points: a coordinate above {LARGEST:g}')
         if count and not 0.0 < _largest(self.packed_r) <= LARGEST:
@@ -132,6 +141,32 @@ class SubMap:
             raise InvalidValue(f'dof: {self.dof} parameters for {self.residual_count} residuals')
         if count and self.dof == self.residual_count and self.sigma == 0.0:
             raise InvalidValue('sigma: 0, and there is no redundancy to estimate it from')
+        if self.c.any():
+            self._check_offset()
+
+    def _check_covariances(self) -> None:
+        if self.covariances is None:
+            return
+        xx, xy, xz, yy, yz, zz = self.covariances.astype(np.float64).T
+        least = min(xx.min(), yy.min(), zz.min())
+        if least < 0.0:
+            raise InvalidValue(f'covariances: a variance of {least:g} is negative')
+        for first, second, both in ((xx, yy, xy), (xx, zz, xz), (yy, zz, yz)):
+            rounding = (ROUNDING * np.maximum(first, second)) ** 2
+            if (both**2 > (1.0 + ROUNDING) * first * second + rounding).any():
+                raise InvalidValue('covariances: a correlation above 1')
+
+    def _check_offset(self) -> None:
+        """`c` says where the optimum is: |c| = |R d| with d no larger than the map."""
+        offset, information = (
+            float(np.linalg.norm(part.astype(np.float64))) for part in (self.c, self.packed_r)
+        )
+        size = float(np.linalg.norm(np.std(self.compressed_points, axis=0)))
+        if offset > max(information * size, LEAST_OFFSET):
+            raise InvalidValue(
+                f'c: its norm is {offset:.2g} px, but {information * size:.2g} px would move all '
+                'landmarks by the size of the map'
+            )
 
     @property
     def rank(self) -> int:

@@ -1,0 +1,114 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A robot that numbers its landmarks anew: told at once, and nobody else pays for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapmerge_ros.fusion import State, fuse
+from mapmerge_ros.fusion.pair_frames import align_pairs
+from mapmerge_ros.geometry import Gauge, Segments, Similarity
+from mapmerge_ros.io import read_submaps
+
+RNG = np.random.default_rng
+
+
+@pytest.fixture(scope='module')
+def submaps():
+    from ros_processes import SHIPPED
+
+    newest = {item.submap.map_id: item.submap for item in read_submaps(SHIPPED)}
+    return tuple(newest[name] for name in sorted(newest))
+
+
+def renumbered(submap, share, seed=0):
+    """Compressed ids of a share of the landmarks dealt out anew among them."""
+    rng, ids = RNG(seed), submap.landmark_ids.copy()
+    some = rng.permutation(submap.compressed_count)[: int(share * submap.compressed_count)]
+    ids[some] = ids[rng.permutation(some)]
+    return replace(submap, landmark_ids=ids)
+
+
+def positions(fusion):
+    landmarks = fusion.components[0].landmarks
+    return dict(zip(landmarks.ids.tolist(), landmarks.points_global, strict=True))
+
+
+@pytest.mark.parametrize('how', ['shuffled', 'rolled'])
+def test_a_robot_that_numbers_anew_stays_apart_and_hurts_nobody(submaps, how):
+    wrong, rest = submaps[1], (submaps[0], *submaps[2:])
+    if how == 'rolled':
+        m, ids = wrong.compressed_count, wrong.landmark_ids.copy()
+        ids[:m] = np.roll(ids[:m], 1)
+        wrong = replace(wrong, landmark_ids=ids)
+    else:
+        wrong = renumbered(wrong, 1.0)
+    fusion, alone = fuse((*rest, wrong)), fuse(rest)
+    (apart,) = fusion.in_state(State.DETACHED)
+    assert apart.submap.map_id == wrong.map_id
+    assert 'are not the same points' in apart.reason
+    assert len(fusion.in_state(State.MERGED)) == 3
+    assert fusion.verdict.accepted
+    assert len(fusion.contradictions) > 50
+    expected = positions(alone)
+    found = positions(fusion)
+    assert found.keys() == expected.keys()  # what others have in common with it keeps its name
+    for name, point in expected.items():
+        np.testing.assert_allclose(found[name], point, atol=1e-6)
+
+
+@pytest.mark.parametrize('share', [0.2, 0.3])
+def test_of_a_map_with_some_wrong_ids_the_right_ones_count(submaps, share):
+    wrong = renumbered(submaps[1], share)
+    fusion = fuse((submaps[0], wrong, *submaps[2:]))
+    assert len(fusion.in_state(State.MERGED)) == 4
+    assert fusion.verdict.accepted
+    found = {item.submap.map_id: item.S_global_map for item in fusion.alignments}
+    true = {item.submap.map_id: item.S_global_map for item in fuse(submaps).alignments}
+    for name, S_global_map in true.items():
+        points = submaps[0].points
+        off = np.linalg.norm(S_global_map.apply(points) - found[name].apply(points), axis=1)
+        assert np.median(off) < 0.1
+
+
+def pair(rng, count, wrong, gauge):
+    """Points in two frames, the first `wrong` of them matched with others."""
+    there = rng.normal(size=(count, 3)) * [10.0, 6.0, 2.0]
+    motion = np.append(rng.normal(size=6), np.log(0.3 if gauge is Gauge.SIMILARITY else 1.0))
+    if gauge is Gauge.YAW_TRANSLATION:
+        motion[:2] = 0.0
+    S_a_b = Similarity.exp(motion)
+    here = S_a_b.apply(there) + 0.01 * rng.normal(size=there.shape)
+    here[:wrong] = here[np.roll(np.arange(wrong), 1)]
+    return here, there, S_a_b
+
+
+@pytest.mark.parametrize('gauge', [Gauge.SIMILARITY, Gauge.RIGID, Gauge.YAW_TRANSLATION])
+@pytest.mark.parametrize('wrong', [0, 10, 14])
+def test_the_frame_is_that_of_the_landmarks_that_agree(gauge, wrong):
+    here, there, S_a_b = pair(RNG(5), 30, wrong, gauge)
+    found = align_pairs(
+        here, there, Segments.of_lengths([30]), np.array([int(gauge)]), np.ones(30)
+    )
+    assert found.determined.all()
+    off = np.linalg.norm(found.S_target_source[0].apply(there) - S_a_b.apply(there), axis=1)
+    assert np.median(off) < 0.15
+
+
+def test_pairs_do_not_depend_on_each_other():
+    first, second = pair(RNG(1), 20, 12, Gauge.SIMILARITY), pair(RNG(2), 40, 0, Gauge.SIMILARITY)
+    both = align_pairs(
+        *(np.concatenate([a, b]) for a, b in zip(first[:2], second[:2], strict=True)),
+        Segments.of_lengths([20, 40]),
+        np.array([7, 7]),
+        np.ones(60),
+    )
+    for k, (here, there, _) in enumerate((first, second)):
+        alone = align_pairs(
+            here, there, Segments.of_lengths([len(here)]), np.array([7]), np.ones(len(here))
+        )
+        np.testing.assert_allclose(
+            both.S_target_source[k].log(), alone.S_target_source[0].log(), atol=1e-9
+        )
