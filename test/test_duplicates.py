@@ -62,10 +62,21 @@ def test_two_robots_may_not_have_one_map_id(submaps):
     thief = replace(submaps[1], map_id=submaps[0].map_id, revision=submaps[0].revision + 1)
     receipt = engine.add(thief)
     assert not receipt.accepted
-    assert receipt.taken
+    assert receipt.conflict
     assert receipt.reason == (
         "map_id drone0/0001 belongs to robot 'drone0': robot 'drone1' needs one of its own"
     )
     assert engine.state().submaps == (submaps[0],)
     engine.remove([submaps[0].map_id])
     assert engine.add(thief).accepted
+
+
+def test_a_map_that_changed_without_a_new_revision_is_news_that_is_left_out(submaps):
+    engine = FusionEngine()
+    assert engine.add(submaps[0]).accepted
+    again = engine.add(submaps[0])
+    assert (again.accepted, again.conflict) == (False, False)
+    changed = replace(submaps[0], points=submaps[0].points + 1.0)
+    receipt = engine.add(changed)
+    assert (receipt.accepted, receipt.conflict) == (False, True)
+    assert 'its landmarks are others' in receipt.reason

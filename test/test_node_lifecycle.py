@@ -77,5 +77,23 @@ def test_a_manager_brings_it_up_and_down(
     assert 'Traceback' not in children.log('fusion').read_text()
 
 
+def test_an_impossible_transition_is_answered_and_survived(
+    children: Children, observer: Observer
+) -> None:
+    children.start('fusion', FUSION, {'merge_period': 0.1})
+    spin_until([observer], lambda: state(observer) == 'active', 'it is up')
+    request = lifecycle.ChangeState.Request()
+    for wrong in (1, 99):  # configure, and what nobody knows
+        request.transition.id = wrong
+        answer = observer.call(
+            lifecycle.ChangeState, 'change_state', transition=request.transition
+        )
+        assert not answer.success
+    assert state(observer) == 'active'
+    assert change(observer, 'deactivate')
+    assert children.ended() == ''
+    assert 'is not possible while active' in children.log('fusion').read_text()
+
+
 def maps(heard: Any) -> set[str]:
     return {item.map_id for item in heard.alignments.alignments}

@@ -21,8 +21,8 @@ class Receipt:
     reason: str = ''
     restarted: bool = False
     """Whether its robot counts revisions anew"""
-    taken: bool = False
-    """Whether the map_id is that of another robot"""
+    conflict: bool = False
+    """Whether it was left out although it is news: another robot's name, or an old revision's"""
 
 
 class Store:
@@ -48,11 +48,15 @@ class Store:
                 False,
                 f'map_id {submap.map_id} belongs to robot {known.robot_id!r}: '
                 f'robot {submap.robot_id!r} needs one of its own',
-                taken=True,
+                conflict=True,
             )
         is_newer = known is None or known.revision < submap.revision
         if known is not None and not is_newer and not _is_of_next_life(submap, known):
-            return Receipt(False, f'revision {submap.revision} is not newer than {known.revision}')
+            reason = f'revision {submap.revision} is not newer than {known.revision}'
+            if submap.revision == known.revision and not _is_repetition(submap, known):
+                reason += ', but its landmarks are others: a map that changes needs a higher one'
+                return Receipt(False, reason, conflict=True)
+            return Receipt(False, reason)
         self._submaps[submap.map_id] = submap
         return Receipt(True, restarted=not is_newer)
 
@@ -70,7 +74,11 @@ def _is_of_next_life(submap: SubMap, known: SubMap) -> bool:
     if submap.stamp_ns <= known.stamp_ns:
         return False
     # Who stamps a repetition anew has not begun again.
-    return submap.revision < known.revision or not np.array_equal(submap.points, known.points)
+    return submap.revision < known.revision or not _is_repetition(submap, known)
+
+
+def _is_repetition(submap: SubMap, known: SubMap) -> bool:
+    return np.array_equal(submap.points, known.points)
 
 
 def without_duplicates(

@@ -18,6 +18,10 @@ REFUSAL_WARNS_NS = 10_000_000_000
 """How long a refused message keeps the node at WARN: long enough to be seen in a monitor."""
 
 
+LONG_MERGE_S = 30.0
+"""A merge that takes longer is told: what was found before stays published meanwhile."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Health:
     """All that the diagnostics are made of."""
@@ -42,11 +46,21 @@ class Health:
     """A robot that has been away for longer is stale; 0 = none ever is"""
     mode: str = 'active'
     """active, paused or inactive"""
+    merging_s: float = 0.0
+    """Since the merge that is running began; 0 = none is"""
 
     def message(self, stamp: Any) -> Any:
-        """DiagnosticArray: the node first, then each robot."""
+        """DiagnosticArray: the node first, then each robot, then topics without one."""
         robots = [self._robot(robot_id) for robot_id in sorted(self.ledger.robots)]
-        return DiagnosticArray(header=Header(stamp=stamp), status=[self._node(), *robots])
+        heard = {record.topic for record in self.ledger.robots.values()}
+        nobody = [self._topic(name) for name in sorted(self.ledger.troubles.keys() - heard)]
+        return DiagnosticArray(header=Header(stamp=stamp), status=[self._node(), *robots, *nobody])
+
+    def _topic(self, name: str) -> Any:
+        reason = self.ledger.troubles[name]
+        values = {'topic': name, 'reason': reason}
+        text = f'nothing of it could be taken in; newest message: {reason}'
+        return _status(DiagnosticStatus.WARN, f'{self.name}: topic {name}', text, '', values)
 
     def _node(self) -> Any:
         level, text = self._verdict()
@@ -58,6 +72,7 @@ class Health:
             'sub_maps': len(ledger.maps),
             **({} if fusion is None else _merge_values(fusion)),
             'last_merge_s_ago': self._seconds_since(self.merged_ns),
+            'merging_for_s': f'{self.merging_s:.1f}',
             'messages_received': ledger.received,
             'messages_refused': ledger.refused,
             'messages_ignored': ledger.ignored,
@@ -78,6 +93,8 @@ class Health:
         if self.fusion is not None and self.fusion.quarantined:
             return DiagnosticStatus.ERROR, _quarantine(self.fusion)
         warnings = [*self._doubts(), *self.incompatible]
+        if self.merging_s > LONG_MERGE_S:
+            warnings.append(f'merging for {self.merging_s:.0f} s')
         refusal_ns = self.ledger.last_refusal_ns
         if refusal_ns is not None and self.now_ns - refusal_ns < REFUSAL_WARNS_NS:
             warnings.append(f'message refused: {self.ledger.last_refusal}')
@@ -118,6 +135,12 @@ class Health:
         state = 'received' if worst is None else worst.state.name.lower()
         in_quarantine = any(item.quarantine for item in found)
         reason = '' if worst is None else worst.reason
+        merged = {item.submap.map_id: item.submap.revision for item in found}
+        waiting = [
+            f'{name}:{held.revision}'
+            for name, held in maps.items()
+            if found and merged.get(name) != held.revision
+        ]
         values = {
             'topic': record.topic,
             'last_heard_s_ago': f'{record.age_s(self.now_ns):.1f}',
@@ -130,13 +153,21 @@ class Health:
             'bytes': record.size_bytes,
             'bytes_per_s': f'{record.bytes_per_s(self.now_ns):.0f}',
             'compression_ratio': _compression_ratio(maps.values()),
+            'waiting': ' '.join(waiting),
+            'ignored': record.ignored,
             'state': 'quarantined' if in_quarantine else state,
             'reason': reason,
         }
         is_fine = worst is None or worst.state is State.MERGED or len(self._alignments()) == 1
         level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
+        trouble = record.trouble or self.ledger.troubles.get(record.topic, '')
+        level = DiagnosticStatus.WARN if trouble else level
         level = DiagnosticStatus.ERROR if in_quarantine else level
         text = reason or state
+        if waiting:
+            text = f'{text}; {", ".join(waiting)} waits for the next merge'
+        if trouble:
+            text = f'newest message left out: {trouble}; {text}'
         if self._is_stale(robot_id):
             level = DiagnosticStatus.STALE
             text = f'left {record.absent_s(self.now_ns):.0f} s ago, its maps stay; {text}'

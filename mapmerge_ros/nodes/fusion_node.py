@@ -13,12 +13,15 @@ import traceback
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.nodes.live_parameters import LiveParameters
 from mapmerge_ros.nodes.process import run_node
 from mapmerge_ros.nodes.session import Session
+
+RCLError = rclpy_implementation.RCLError
 
 
 class StartError(MapMergeError):
@@ -30,6 +33,7 @@ class FusionNode(LifecycleNode):  # type: ignore[misc]
 
     def __init__(self, **options: Any) -> None:
         super().__init__('fusion_node', **options)
+        self._survive_impossible_transitions()
         self.session: Session | None = None
         self.parameters = LiveParameters(
             self, lambda: self.session is not None, self._on_parameters
@@ -65,6 +69,23 @@ class FusionNode(LifecycleNode):  # type: ignore[misc]
     def on_error(self, state: Any) -> Any:
         """Begin anew after a failed transition."""
         return self._transition('error', self._end)
+
+    def _survive_impossible_transitions(self) -> None:
+        """Answer who asks for one; rclpy raises, and the node would end with all its maps."""
+        service = self._service_change_state
+        change = service.callback
+
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                return change(request, response)
+            except RCLError:
+                _, state = self._state_machine.current_state
+                wanted = request.transition.label or request.transition.id
+                self.get_logger().warning(f'transition {wanted} is not possible while {state}')
+                response.success = False
+                return response
+
+        service.callback = answer
 
     def close(self) -> None:
         """End the worker; a merge that does not end is left behind."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from mapmerge_ros.fusion import Receipt
 from mapmerge_ros.submap import SubMap
 
 MAX_REASONS = 1000
@@ -38,6 +39,10 @@ class RobotRecord:
     """Last message, or last time that somebody was there to publish on its topic"""
     messages: int = 0
     size_bytes: int = 0
+    ignored: int = 0
+    """Of its messages: no newer than what was there"""
+    trouble: str = ''
+    """Why its newest message was left out although it is news"""
 
     def age_s(self, now_ns: int) -> float:
         """Seconds since its last message."""
@@ -77,6 +82,8 @@ class Ledger:
     robots: dict[str, RobotRecord] = field(default_factory=dict)
     maps: dict[str, Held] = field(default_factory=dict)
     """By map_id, those that the engine holds"""
+    troubles: dict[str, str] = field(default_factory=dict)
+    """By topic, why the newest message there failed the checks"""
     _reasons: set[str] = field(default_factory=set)
 
     def count(self, size_bytes: int) -> None:
@@ -84,9 +91,11 @@ class Ledger:
         self.received += 1
         self.bytes_in += size_bytes
 
-    def refuse(self, reason: str, now_ns: int) -> bool:
+    def refuse(self, topic: str, reason: str, now_ns: int) -> bool:
         """Book a message that failed the checks; whether this is new and worth a line."""
         self.refused += 1
+        self.troubles[topic] = reason
+        reason = f'{topic}: {reason}'
         self.last_refusal, self.last_refusal_ns = reason, now_ns
         if reason in self._reasons or len(self._reasons) >= MAX_REASONS:
             return False
@@ -94,17 +103,22 @@ class Ledger:
         return True
 
     def hear(
-        self, submap: SubMap, topic: str, size_bytes: int, now_ns: int, *, accepted: bool
+        self, submap: SubMap, topic: str, size_bytes: int, now_ns: int, receipt: Receipt
     ) -> None:
         """Book a valid message on its robot, and its map if the engine has taken it in."""
         record = self._record(submap.robot_id, topic, now_ns)
         record.topic, record.last_ns, record.seen_ns = topic, now_ns, now_ns
         record.messages += 1
         record.size_bytes += size_bytes
-        if accepted:
+        self.troubles.pop(topic, None)
+        if receipt.accepted:
+            record.trouble = ''
             self.hold(submap, size_bytes, now_ns)
-        else:
-            self.ignored += 1
+            return
+        self.ignored += 1
+        record.ignored += 1
+        if receipt.conflict:
+            record.trouble = f'{submap.map_id}: {receipt.reason}'
 
     def hold(self, submap: SubMap, size_bytes: int, now_ns: int) -> None:
         """Book a map that the engine has taken in, from wherever."""
@@ -122,6 +136,7 @@ class Ledger:
         for record in self.robots.values():
             if record.topic in topics:
                 record.seen_ns = now_ns
+        self.troubles = {name: why for name, why in self.troubles.items() if name in topics}
 
     def rewind(self, now_ns: int) -> None:
         """Follow a clock that was set back: nothing was heard in the future."""

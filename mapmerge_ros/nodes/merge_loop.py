@@ -50,6 +50,11 @@ class MergeLoop:
         """Whether somebody waits for a merge."""
         return bool(self._served or self._requests)
 
+    @property
+    def running_s(self) -> float:
+        """Seconds since the merge that is running began; 0 where none is."""
+        return self._worker.running_s
+
     def tick(self) -> None:
         """Start a merge if anything has changed and none is running."""
         if self.engine.changed and not self.paused:

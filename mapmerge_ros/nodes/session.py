@@ -31,6 +31,9 @@ from mapmerge_ros.nodes.worker import Result
 POLL_S = 1.0
 """How often to look for new topics, and to tell how one is."""
 
+CONFLICT_LOG_S = 10.0
+"""Least time between two lines about maps that are news and left out all the same."""
+
 BACKWARD = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1))
 """A recording that starts again, or a clock that is replaced by another."""
 
@@ -129,12 +132,17 @@ class Session:
         try:
             submap = decode_submap(raw)
         except InvalidMessage as err:
-            if self.ledger.refuse(str(err), self.now_ns):
-                log.warning(f'refused: {err}')
+            if self.ledger.refuse(topic, str(err), self.now_ns):
+                log.warning(f'refused: {topic}: {err}')
             return
         receipt = self.merges.engine.add(submap)
-        self.ledger.hear(submap, topic, len(raw), self.now_ns, accepted=receipt.accepted)
-        if not receipt.accepted:
+        self.ledger.hear(submap, topic, len(raw), self.now_ns, receipt)
+        if receipt.conflict:
+            log.warning(
+                f'left out: {topic}: {submap.map_id}: {receipt.reason}',
+                throttle_duration_sec=CONFLICT_LOG_S,
+            )
+        elif not receipt.accepted:
             log.debug(f'ignored: {submap.map_id}: {receipt.reason}')
         elif receipt.restarted:
             log.info(f'{submap.map_id} begins again with revision {submap.revision}')
@@ -214,6 +222,7 @@ class Session:
             given_up=self.merges.engine.asking.given_up,
             robot_timeout_s=self._settings.robot_timeout,
             mode=self._mode,
+            merging_s=self.merges.running_s,
         )
         self._diagnostics.publish(health.message(self._node.get_clock().now().to_msg()))
 

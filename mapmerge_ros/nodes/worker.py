@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -41,6 +42,7 @@ class Worker(Generic[J, T]):
         self._wake = wake
         self._results: queue.SimpleQueue[Result[T]] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
+        self._started_s = 0.0
         self._closing = threading.Lock()
         self._closed = False
 
@@ -49,10 +51,16 @@ class Worker(Generic[J, T]):
         """Whether a job runs, or its result has not been taken yet."""
         return self._thread is not None
 
+    @property
+    def running_s(self) -> float:
+        """Seconds since the job that is running began; 0 where none is."""
+        return time.monotonic() - self._started_s if self.busy else 0.0
+
     def start(self, job: J) -> None:
         """Begin a job; the former result has to be taken before."""
         if self.busy:
             raise RuntimeError('a job is running')
+        self._started_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, args=(job,), name='worker', daemon=True)
         self._thread.start()
 
