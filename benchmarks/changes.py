@@ -35,8 +35,8 @@ from mapmerge_ros.fusion import Component, Fusion, Kind, fuse
 from mapmerge_ros.fusion.informations import informations
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.local import local_tests
+from mapmerge_ros.fusion.noise import pool_noise
 from mapmerge_ros.fusion.quadratic import Members, Quadratic, quadratic
-from mapmerge_ros.fusion.verify import pool_noise
 from mapmerge_ros.io import load_colmap
 from mapmerge_ros.submap import SubMap
 

@@ -20,9 +20,9 @@ from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.joint.knowledge import Knowledge, knowledge
 from mapmerge_ros.fusion.joint.start import initial_points
 from mapmerge_ros.fusion.links import find_links
+from mapmerge_ros.fusion.noise import Noise, pool_noise
 from mapmerge_ros.fusion.overlap import Link, spanning_tree
 from mapmerge_ros.fusion.solution import Anchor, Solution, solve
-from mapmerge_ros.fusion.verify import Noise, pool_noise
 from mapmerge_ros.geometry import Gauge, Similarity, align
 from mapmerge_ros.submap import SubMap
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Real sub-maps against the full bundle of all their images, as the project promises."""
 
-import importlib.util
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,22 +11,14 @@ pytest.importorskip('pycolmap', reason='COLMAP models are read by pycolmap')
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / 'shared' / 'data'
-
-
-def benchmark():
-    spec = importlib.util.spec_from_file_location('real_data', ROOT / 'benchmarks/real_data.py')
-    module = importlib.util.module_from_spec(spec)
-    import sys
-
-    sys.modules['real_data'] = module
-    spec.loader.exec_module(module)
-    return module
+sys.path.insert(0, str(ROOT / 'benchmarks'))
+import real_data  # noqa: E402
 
 
 def evaluate(name, cap=None):
     if not (DATA / name).is_dir():
         pytest.skip(f'{DATA / name} is not there: real data is not shipped')
-    return benchmark().evaluate(DATA / name, cap)
+    return real_data.evaluate(DATA / name, cap)
 
 
 @pytest.mark.parametrize(

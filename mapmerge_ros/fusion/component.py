@@ -18,13 +18,14 @@ from mapmerge_ros.fusion.covariance_model import CovarianceModel
 from mapmerge_ros.fusion.examination import Examination
 from mapmerge_ros.fusion.joint.covariance import Uncertainty
 from mapmerge_ros.fusion.names import Names
+from mapmerge_ros.fusion.noise import Noise, pool_noise
 from mapmerge_ros.fusion.outcome import Verdict
 from mapmerge_ros.fusion.outgoing import Merged, compress_component
 from mapmerge_ros.fusion.overlap import Link, components
 from mapmerge_ros.fusion.solution import Anchor, Solution, solve
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.unlock import Examined, find_doubtful, find_off, too_much, unlocked
-from mapmerge_ros.fusion.verify import Noise, pool_noise, verify_merge
+from mapmerge_ros.fusion.verify import verify_merge
 from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import SubMap

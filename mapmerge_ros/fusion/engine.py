@@ -10,7 +10,7 @@ arrived, and where the global frame is.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mapmerge_ros.association import Correspondences, associate
 from mapmerge_ros.errors import InvalidValue
@@ -23,6 +23,7 @@ from mapmerge_ros.fusion.copies import without_copies
 from mapmerge_ros.fusion.groups import Problem, merge_groups
 from mapmerge_ros.fusion.links import find_links
 from mapmerge_ros.fusion.moved_far import with_moved_far
+from mapmerge_ros.fusion.noise import noise_notes
 from mapmerge_ros.fusion.outcome import Contradiction, Fusion, Match, Pair, Timing
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.requests import Denial, plan_requests
@@ -103,9 +104,13 @@ def fuse(
         *aligned(usable, links, merged, matches),
         *left_out(snapshot.submaps, [*refusals, *copies, *failures], matches),
     ]
+    notes = noise_notes(usable)
     return Fusion(
         components=tuple(part.component for _, part in merged),
-        alignments=tuple(sorted(alignments, key=lambda item: item.submap.map_id)),
+        alignments=tuple(
+            replace(item, note=notes.get(item.submap.map_id, ''))
+            for item in sorted(alignments, key=lambda item: item.submap.map_id)
+        ),
         pairs=tuple(Pair(usable[x.a].map_id, usable[x.b].map_id, x.shared) for x in links),
         contradictions=named,
         matches=matches,

@@ -48,6 +48,8 @@ class MapAlignment:
     """
     quarantine: Quarantine | None = None
     """Evidence against a refused sub-map that is wrong as a whole"""
+    note: str = ''
+    """What is odd about it, whatever its state"""
 
 
 @dataclass(frozen=True, slots=True)

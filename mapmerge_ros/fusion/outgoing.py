@@ -17,10 +17,10 @@ from mapmerge_ros.fusion.joint.covariance import Uncertainty
 from mapmerge_ros.fusion.joint.factor import Factor
 from mapmerge_ros.fusion.joint.knowledge import Knowledge, knowledge
 from mapmerge_ros.fusion.names import Names, name_landmarks
+from mapmerge_ros.fusion.noise import Noise
 from mapmerge_ros.fusion.outcome import Component, Landmarks, Verdict
 from mapmerge_ros.fusion.solution import Anchor, Solution
 from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue
-from mapmerge_ros.fusion.verify import Noise
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import Source, SubMap, most_within, pack
 from mapmerge_ros.submap.size import head_bytes, landmark_bytes

@@ -17,8 +17,8 @@ from mapmerge_ros.distributions import tail
 from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.fusion.informations import informations
 from mapmerge_ros.fusion.joint.cost import JointCost
+from mapmerge_ros.fusion.noise import pool_noise
 from mapmerge_ros.fusion.outcome import Fusion
-from mapmerge_ros.fusion.verify import pool_noise
 from mapmerge_ros.submap import SubMap
 
 

@@ -16,9 +16,10 @@ from mapmerge_ros.fusion.joint.cost import JointCost, State
 from mapmerge_ros.fusion.joint.factor import Carried, Factor
 from mapmerge_ros.fusion.joint.resume import Members, Resumable, resume
 from mapmerge_ros.fusion.merge import Estimate
+from mapmerge_ros.fusion.noise import Noise
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.search import search
-from mapmerge_ros.fusion.verify import Noise, degrees_of_freedom, verify
+from mapmerge_ros.fusion.verify import degrees_of_freedom, verify
 from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import SubMap

@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.arrays import Ints
 from mapmerge_ros.distributions import tail
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
@@ -21,42 +21,12 @@ from mapmerge_ros.fusion.joint.covariance import Uncertainty
 from mapmerge_ros.fusion.joint.near_optimum import near_optimum
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.misfit import MAX_RATIO, worst_map
+from mapmerge_ros.fusion.noise import Noise
 from mapmerge_ros.fusion.outcome import ErrorModel, Verdict
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.quadratic import Quadratic
 from mapmerge_ros.fusion.search import is_certain
 from mapmerge_ros.geometry import Gauge
-from mapmerge_ros.submap import SubMap
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Noise:
-    """
-    Noise of the sub-maps of one merge.
-
-    Unknown σ are one and the same, estimated from all of those sub-maps together: so every
-    observation weighs as in the full bundle, and the F test is exact.
-    """
-
-    sigma: float
-    """Of a residual of unit weight, px"""
-    weights: Floats
-    """Per sub-map (sigma / σ_k)²"""
-    estimated_from: int
-    """Redundancy behind an estimated σ; 0 = every σ is known"""
-
-
-def pool_noise(submaps: Sequence[SubMap]) -> Noise:
-    """One σ for all sub-maps that do not know theirs, and the weights that follow."""
-    unknown = [submap for submap in submaps if submap.sigma == 0.0]
-    redundancy = sum(submap.redundancy for submap in unknown)
-    estimate = sum(submap.a**2 for submap in unknown) / max(redundancy, 1)
-    variances = np.array([submap.sigma**2 or estimate for submap in submaps])
-    # Noise-free input (a = 0 everywhere) has no scale of its own: any equal weights will do.
-    variances = np.maximum(variances, np.finfo(float).tiny ** 0.5)
-    redundancies = np.array([max(submap.redundancy, 1) for submap in submaps], float)
-    reference = float(redundancies @ variances / redundancies.sum())
-    return Noise(float(np.sqrt(reference)), reference / variances, redundancy)
 
 
 def degrees_of_freedom(views: Ints, gauges: Sequence[Gauge], gauge: Gauge) -> int:

@@ -107,6 +107,7 @@ def _sub_map(item: MapAlignment) -> dict[str, Any]:
         'sigma': noise_sigma(submap),
         'state': item.state.name.lower(),
         'reason': item.reason,
+        'note': item.note,
         'quarantine': None if item.quarantine is None else _quarantine(item.quarantine),
         'component': item.component if item.component >= 0 else None,
         'global_from_map': {

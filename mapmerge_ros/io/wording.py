@@ -8,6 +8,9 @@ from mapmerge_ros.fusion import Fusion, MapAlignment, State, Verdict
 from mapmerge_ros.io.comparison import TruthComparison
 from mapmerge_ros.io.moved_objects import moved_objects
 
+MOST_NOTED = 2
+"""Sub-maps whose oddities are written out in one sentence."""
+
 
 def headline(fusion: Fusion) -> str:
     """Say what was merged."""
@@ -66,8 +69,22 @@ def verdict_sentences(fusion: Fusion) -> str:
     """Say what was merged, whether to believe it, and what moved."""
     if not fusion.in_state(State.MERGED):
         return headline(fusion)
-    parts = headline(fusion), kept_out(fusion), belief(fusion.verdict), what_moved(fusion)
+    parts = (
+        headline(fusion),
+        kept_out(fusion),
+        belief(fusion.verdict),
+        what_moved(fusion),
+        oddities(fusion),
+    )
     return ' '.join(filter(None, parts))
+
+
+def oddities(fusion: Fusion) -> str:
+    """Say what is odd about sub-maps, whatever their state; empty if nothing is."""
+    noted = [f'{item.submap.map_id}: {item.note}' for item in fusion.alignments if item.note]
+    if len(noted) > MOST_NOTED:
+        noted = [*noted[:MOST_NOTED], f'{len(noted) - MOST_NOTED} others likewise']
+    return f'Look at {"; ".join(noted)}.' if noted else ''
 
 
 def left_out(fusion: Fusion) -> tuple[MapAlignment, ...]:

@@ -123,6 +123,8 @@ class Health:
             doubts.append(f'{detached} sub-maps detached')
         if refused:
             doubts.append(f'{refused} sub-maps refused')
+        if odd := sum(bool(item.note) for item in self.fusion.alignments):
+            doubts.append(f'{odd} sub-maps with odd residuals')
         if contradictions:
             doubts.append(f'{contradictions} ids contradict the geometry')
         return doubts
@@ -160,10 +162,12 @@ class Health:
         }
         is_fine = worst is None or worst.state is State.MERGED or len(self._alignments()) == 1
         level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
+        notes = [f'{item.submap.map_id}: {item.note}' for item in found if item.note]
+        level = DiagnosticStatus.WARN if notes else level
         trouble = record.trouble or self.ledger.troubles.get(record.topic, '')
         level = DiagnosticStatus.WARN if trouble else level
         level = DiagnosticStatus.ERROR if in_quarantine else level
-        text = reason or state
+        text = '; '.join([reason or state, *notes])
         if waiting:
             text = f'{text}; {", ".join(waiting)} waits for the next merge'
         if trouble:
