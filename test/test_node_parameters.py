@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -139,3 +141,25 @@ def test_every_field_of_the_engine_is_a_parameter() -> None:
         assert setting.description.endswith('.')
         if isinstance(setting.default, (int, float)) and not isinstance(setting.default, bool):
             assert setting.low <= setting.default < setting.high
+
+
+def test_a_parameter_that_is_not_there_is_told(children: Children, observer: Observer) -> None:
+    children.start('fusion', FUSION, {'min_shraed': 5, 'foo': 3, 'merge_period': 0.5})
+    spin_until([observer], lambda: 'mode' in observer.node_values, 'it runs')
+    log = children.log('fusion').read_text()
+    assert 'there is no parameter min_shraed, what was given for it is ignored: min_shared' in log
+    assert 'there is no parameter foo, what was given for it is ignored' in log
+    assert 'merge_period' not in log
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_a_node_explains_itself(name: str) -> None:
+    module, settings, _ = NODES[name]
+    call = [sys.executable, '-m', module]
+    asked = subprocess.run([*call, '--help'], capture_output=True, text=True, check=True)
+    assert asked.stdout.startswith('usage: ')
+    for setting in settings:
+        assert f'{setting.name} (default' in asked.stdout
+    wrong = subprocess.run([*call, '--foo'], capture_output=True, text=True, check=False)
+    assert wrong.returncode == 2
+    assert wrong.stderr == 'unexpected: --foo; parameters: --ros-args -p NAME:=VALUE\n'

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from mapmerge_ros.io import InvalidMessage, NamedBundle, decode_request, load_bundles
-from mapmerge_ros.nodes.compressor_parameters import declare_settings
+from mapmerge_ros.nodes.compressor_parameters import SETTINGS, declare_settings
 from mapmerge_ros.nodes.corrections import Corrections
 from mapmerge_ros.nodes.outbox import Outbox
 from mapmerge_ros.nodes.own_map import Done, OwnMap, Response
@@ -228,7 +228,7 @@ class CompressorNode(Node):  # type: ignore[misc]
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the robot until it is stopped."""
-    return run_node(CompressorNode, args)
+    return run_node(CompressorNode, args, SETTINGS)
 
 
 if __name__ == '__main__':

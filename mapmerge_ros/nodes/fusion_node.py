@@ -17,7 +17,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from mapmerge_ros.errors import MapMergeError
-from mapmerge_ros.nodes.live_parameters import LiveParameters
+from mapmerge_ros.nodes.live_parameters import LiveParameters, own_settings
 from mapmerge_ros.nodes.process import run_node
 from mapmerge_ros.nodes.session import Session
 
@@ -125,7 +125,7 @@ class FusionNode(LifecycleNode):  # type: ignore[misc]
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is stopped."""
-    return run_node(FusionNode, args)
+    return run_node(FusionNode, args, own_settings('', 'fusion_node'))
 
 
 if __name__ == '__main__':

@@ -7,17 +7,29 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from inspect import cleandoc
+from pathlib import Path
 from typing import Any, Protocol
 
 import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.utilities import remove_ros_args
 from threadpoolctl import threadpool_limits
 
 from mapmerge_ros.errors import MapMergeError
+from mapmerge_ros.nodes.settings import Setting, described, unknown
 
 WAKE_S = 0.5
 """Longest wait for a message before the node asks whether it shall end."""
+
+
+USAGE = """\
+usage: {name} [--ros-args [-r FROM:=TO] [-p NAME:=VALUE] [--params-file FILE]]
+
+{about}
+
+parameters:"""
 
 
 class ClosableNode(Protocol):
@@ -27,13 +39,35 @@ class ClosableNode(Protocol):
         """End threads and files."""
         ...
 
+    def get_logger(self) -> Any:
+        """Where it writes."""
+        ...
+
     def destroy_node(self) -> None:
         """End what the middleware holds."""
         ...
 
 
-def run_node(make: Callable[[], ClosableNode], args: Sequence[str] | None = None) -> int:
-    """Spin a node until SIGINT or SIGTERM, with one BLAS thread; the exit code of the process."""
+def run_node(
+    make: Callable[[], ClosableNode],
+    args: Sequence[str] | None = None,
+    settings: Sequence[Setting] = (),
+) -> int:
+    """
+    Spin a node until SIGINT or SIGTERM, with one BLAS thread; the exit code of the process.
+
+    `settings` are its parameters, for who asks for help.
+    """
+    own = remove_ros_args(sys.argv if args is None else ['', *args])[1:]
+    if {'-h', '--help'} & set(own):
+        about = cleandoc(sys.modules[make.__module__].__doc__ or '')
+        print(USAGE.format(name=Path(sys.argv[0]).stem, about=about))
+        print(described(settings))
+        return 0
+    if own:
+        remedy = 'parameters: --ros-args -p NAME:=VALUE'
+        print(f'unexpected: {" ".join(own)}; {remedy}', file=sys.stderr)
+        return 2
     with threadpool_limits(1):
         return _run(make, args)
 
@@ -45,6 +79,8 @@ def _run(make: Callable[[], ClosableNode], args: Sequence[str] | None) -> int:
     node: ClosableNode | None = None
     try:
         node = make()
+        for line in unknown(node):
+            node.get_logger().warning(line)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         # A signal between two waits wakes nobody: look again before long.

@@ -94,7 +94,7 @@ class RecordNode(Node):  # type: ignore[misc]
 
 def main(args: Sequence[str] | None = None) -> int:
     """Record until it is stopped."""
-    return run_node(RecordNode, args)
+    return run_node(RecordNode, args, SETTINGS)
 
 
 if __name__ == '__main__':

@@ -104,7 +104,7 @@ class RobotNode(Node):  # type: ignore[misc]
 
 def main(args: Sequence[str] | None = None) -> int:
     """Play the robot until it is stopped."""
-    return run_node(RobotNode, args)
+    return run_node(RobotNode, args, SETTINGS)
 
 
 if __name__ == '__main__':

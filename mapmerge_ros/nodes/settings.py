@@ -7,7 +7,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from enum import Enum
+from textwrap import fill
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -15,6 +17,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from mapmerge_ros.errors import InvalidValue
 
 Value = bool | int | float | str
+
+INDENT = '      '
 
 
 class Change(Enum):
@@ -54,6 +58,28 @@ def declare(node: Any, setting: Setting) -> Any:
     """
     value = node.declare_parameter(setting.name, setting.default, _descriptor(setting)).value
     return checked(setting, value)
+
+
+def unknown(node: Any) -> list[str]:
+    """Say of parameters that were given at the start and that the node does not have."""
+    has = {*node._parameters}
+    lines = []
+    for name in sorted(node._parameter_overrides.keys() - has):
+        if name.startswith('qos_overrides.'):
+            continue
+        alike = get_close_matches(name, has, 1)
+        hint = f': {alike[0]} is meant?' if alike else ''
+        lines.append(f'there is no parameter {name}, what was given for it is ignored{hint}')
+    return lines
+
+
+def described(settings: Iterable[Setting]) -> str:
+    """One paragraph for each, as `--help` shows it."""
+    return '\n'.join(
+        f'  {item.name} (default {item.default!r})\n'
+        + fill(item.description, 78, initial_indent=INDENT, subsequent_indent=INDENT)
+        for item in settings
+    )
 
 
 def read(node: Any, settings: Iterable[Setting]) -> dict[str, Any]:
