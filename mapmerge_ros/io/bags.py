@@ -151,7 +151,8 @@ def _check_kind(path: Path) -> None:
 
 def _damaged(path: Path, err: Exception) -> BagError:
     reason = ' '.join(str(err).split()) or type(err).__name__
-    return BagError(f'{path}: truncated or damaged: {reason[:200]}')
+    remedy = ': `mcap recover` saves what can be read' if path.suffix == '.mcap' else ''
+    return BagError(f'{path}: truncated or damaged: {reason[:200].rstrip(".")}{remedy}')
 
 
 def _connections(path: Path, reader: Reader, typename: str) -> list[Connection]:

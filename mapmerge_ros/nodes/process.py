@@ -61,8 +61,8 @@ def run_node(
     own = remove_ros_args(sys.argv if args is None else ['', *args])[1:]
     if {'-h', '--help'} & set(own):
         about = cleandoc(sys.modules[make.__module__].__doc__ or '')
-        print(USAGE.format(name=Path(sys.argv[0]).stem, about=about))
-        print(described(settings))
+        usage = USAGE.format(name=Path(sys.argv[0]).stem, about=about)
+        print(f'{usage}\n{described(settings)}')
         return 0
     if own:
         remedy = 'parameters: --ros-args -p NAME:=VALUE'

@@ -272,9 +272,8 @@ class JointCost:
     def _frames(self, moments: Moments) -> Similarities:
         found = align_moments(moments, self.gauges, 'tangent')
         if not found.determined.all():
-            k = int(np.argmin(found.determined))
             raise DegenerateGeometry(
-                f'the shared landmarks of sub-map {k} of the merge do not determine its frame'
+                'the shared landmarks of a sub-map do not determine its frame'
             )
         return found.S_target_source
 
