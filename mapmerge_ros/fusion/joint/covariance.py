@@ -92,7 +92,10 @@ class Gathering:
                 at = coordinates(np.flatnonzero(shared[front.leaf_order]))
                 own_block = block if shared.all() else block[np.ix_(at, at)]
                 # Without noise the quotient is what float32 can hold, the block is not.
-                self._leaves[front.leaf] = pack((own_block / self._scale**2).astype(np.float32))
+                with np.errstate(over='ignore'):
+                    rounded = pack((own_block / self._scale**2).astype(np.float32))
+                if np.isfinite(rounded).all():
+                    self._leaves[front.leaf] = rounded
             derivative = self._by_points(front.leaf, front.leaf_order)
             self._frames[front.leaf] = derivative @ free @ derivative.T
 
