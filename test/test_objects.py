@@ -68,6 +68,35 @@ def test_trials_at_once_are_those_one_by_one(motion):
         assert free[at] == pytest.approx(again.statistic(rows, motion), rel=1e-5)
 
 
+@pytest.mark.parametrize('motion', [TRANSLATION, RIGID])
+def test_who_does_not_take_part_does_not_matter(motion):
+    """Some rows of a patch alone, members free or not: what the whole patch says of them."""
+    merge = draw(1, landmarks=60, views=(3, 4))
+    patch = Patch.of_map(sensitivity(merge), merge.points, 1)
+    inside = np.array([2, 3, 5, 8, 13, 21, 30, 34])
+    alone, everyone = patch.only(inside), np.arange(len(inside))
+    for name in ('statistic', 'with_one_less', 'with_one_free', 'without_loudest'):
+        whole = getattr(patch, name)(inside, motion)
+        np.testing.assert_allclose(getattr(alone, name)(everyone, motion), whole, rtol=1e-9)
+
+
+@pytest.mark.parametrize('motion', [TRANSLATION, RIGID])
+def test_the_loudest_are_freed_as_if_one_by_one(motion):
+    merge = draw(1, landmarks=60, views=(3, 4))
+    state = sensitivity(merge)
+    patch = Patch.of_map(state, merge.points, 1)
+    inside = np.array([2, 3, 5, 8, 13, 21, 30, 34])
+    found = patch.without_loudest(inside, motion)
+    members = patch.members[inside]
+    for _ in range(2):
+        free = patch.with_one_free(patch.rows(members), motion)
+        loudest = int(np.argmin(free))
+        state = state.unlock(members[[loudest]])
+        members = np.delete(members, loudest)
+        patch = Patch.of_map(state, merge.points, 1)
+    assert found == pytest.approx(patch.statistic(patch.rows(members), motion), rel=1e-5)
+
+
 def test_all_neighbourhoods_at_once_are_those_one_by_one():
     merge = draw(1, landmarks=60, views=(3, 4))
     patch = Patch.of_map(sensitivity(merge), merge.points, 1)

@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.distributions import chi2_quantile, chi2_tail
+from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.local import Sensitivity
 from mapmerge_ros.geometry import Gauge, generators
 
@@ -54,7 +55,7 @@ class Patch:
         """Patch of sub-map k; `points` (tracks, 3) are the merged landmarks."""
         part = state.members.of_map(k)
         own = np.flatnonzero(state.testable()[part])
-        at = (3 * own[:, None] + np.arange(3)).ravel()
+        at = coordinates(own)
         here = points[state.members.tracks[part.start + own]]
         centred = here - here.mean(axis=0) if len(own) else here
         size = np.sqrt(np.mean(centred**2)) if len(own) else 1.0
@@ -73,6 +74,17 @@ class Patch:
         """Rows in this patch of members that it has."""
         return np.searchsorted(self.members, members)
 
+    def only(self, rows: Ints) -> Patch:
+        """The members in some rows (m,): of their tests it has all that they need."""
+        at = coordinates(rows)
+        return Patch(
+            self.members[rows],
+            self.points[rows],
+            self.score[rows],
+            self.information[np.ix_(at, at)],
+            self.basis[rows],
+        )
+
     def statistic(self, inside: Ints, motion: int) -> float:
         """Test of the members in rows `inside` having one motion in common."""
         total, matrix, _ = self._sums(inside, motion)
@@ -80,31 +92,33 @@ class Patch:
 
     def with_one_more(self, inside: Ints, outside: Ints, motion: int) -> Floats:
         """Statistic with each of the rows `outside` (o,) as well."""
-        total, matrix, pushed = self._sums(inside, motion)
+        total, matrix, _ = self._sums(inside, motion)
         basis = self.basis[outside, :, :motion]
-        crossing = basis.swapaxes(1, 2) @ pushed[outside]
+        crossing = basis.swapaxes(1, 2) @ self._pushed(outside, inside, motion)
         matrices = matrix + crossing + crossing.swapaxes(1, 2) + self._own(outside, motion)
         return _squares(total + self._scores(outside, motion), matrices)
 
     def with_one_less(self, inside: Ints, motion: int) -> Floats:
         """Statistic without each of the rows `inside` (m,)."""
         total, matrix, pushed = self._sums(inside, motion)
-        crossing = self.basis[inside, :, :motion].swapaxes(1, 2) @ pushed[inside]
+        crossing = self.basis[inside, :, :motion].swapaxes(1, 2) @ pushed
         matrices = matrix - crossing - crossing.swapaxes(1, 2) + self._own(inside, motion)
         return _squares(total - self._scores(inside, motion), matrices)
 
     def with_one_free(self, inside: Ints, motion: int) -> Floats:
         """Statistic of the others with each of the rows `inside` (m,) free."""
         total, matrix, pushed = self._sums(inside, motion)
-        return self._free(total, matrix, pushed[inside], inside, motion)
+        inverses = np.linalg.inv(self._blocks(inside))
+        return _squares(*_free(total, matrix, self.score[inside], pushed, inverses))
 
     def without_loudest(self, inside: Ints, motion: int) -> float:
         """Statistic with those free, one in five but two at least, that speak for it most."""
-        patch = self
+        patch = self.only(inside)
         for _ in range(max(2, -(-len(inside) // 5))):
-            at = int(np.argmin(patch.with_one_free(inside, motion)))
-            patch, inside = patch._freed(int(inside[at])), np.delete(inside, at)
-        return patch.statistic(inside, motion)
+            everyone = np.arange(len(patch))
+            loudest = int(np.argmin(patch.with_one_free(everyone, motion)))
+            patch = patch._freed(loudest).only(np.delete(everyone, loudest))
+        return patch.statistic(np.arange(len(patch)), motion)
 
     def neighbourhoods(self, count: int, motions: Sequence[int]) -> tuple[Floats, Ints]:
         """
@@ -114,17 +128,20 @@ class Patch:
         """
         rows = np.asarray(cKDTree(self.points).query(self.points, count)[1], np.int64)
         n, size, widest = len(self), 3 * count, max(motions)
-        blocks = self.information.reshape(n, 3, n, 3).swapaxes(1, 2)
-        near = blocks[rows[:, :, None], rows[:, None, :]].swapaxes(2, 3).reshape(n, size, size)
+        at = coordinates(rows.ravel()).reshape(n, size)
+        near = self.information[at[:, :, None], at[:, None, :]]
         basis = self.basis[rows, :, :widest].reshape(n, size, widest)
         pushed = near @ basis
         matrix = basis.swapaxes(1, 2) @ pushed
         total = (basis.swapaxes(1, 2) @ self.score[rows].reshape(n, size, 1))[:, :, 0]
-        pushed = pushed.reshape(n, count, 3, widest)
-        values = [
-            self._free(total[:, None, :p], matrix[:, None, :p, :p], pushed[..., :p], rows, p)
-            for p in motions
-        ]
+        totals, matrices = _free(
+            total[:, None],
+            matrix[:, None],
+            self.score[rows],
+            pushed.reshape(n, count, 3, widest),
+            np.linalg.inv(self._blocks(np.arange(n)))[rows],
+        )
+        values = [_squares(totals[..., :p], matrices[..., :p, :p]) for p in motions]
         return np.array([each.min(axis=1) for each in values]), rows
 
     def unbent(self) -> Patch:
@@ -157,27 +174,6 @@ class Patch:
         near = np.asarray(cKDTree(self.points).query(self.points[inside], count + 1)[1])[:, 1:]
         return float(np.isin(near, inside).mean())
 
-    def _free(
-        self, total: Floats, matrix: Floats, pushed: Floats, rows: Ints, motion: int
-    ) -> Floats:
-        """
-        Statistics (..., m) of a motion of the members in `rows` (..., m) with each of them free.
-
-        b (..., p) and A (..., p, p) are of all of them, J B (..., m, 3, p) by member.
-        """
-        basis, own = self.basis[:, :, :motion], self._blocks()
-        alone = own @ basis
-        crossing = basis.swapaxes(1, 2)[rows] @ pushed
-        rest = matrix - crossing - crossing.swapaxes(-1, -2) + self._own(rows, motion)
-        left = total - self._scores(rows, motion)
-        towards = pushed - alone[rows]
-        some, back = np.unique(rows, return_inverse=True)  # what is free already has no inverse
-        solved = np.linalg.inv(own[some])[back.reshape(rows.shape)] @ towards
-        return _squares(
-            left - (self.score[rows][..., None, :] @ solved)[..., 0, :],
-            rest - towards.swapaxes(-1, -2) @ solved,
-        )
-
     def _freed(self, row: int) -> Patch:
         at = slice(3 * row, 3 * row + 3)
         columns = self.information[:, at]
@@ -188,30 +184,48 @@ class Patch:
             information=self.information - columns @ solved,
         )
 
-    def _blocks(self) -> Floats:
-        """J (n, 3, 3) of each with itself."""
+    def _blocks(self, rows: Ints) -> Floats:
+        """J (m, 3, 3) of each of some rows (m,) with itself."""
         n = len(self)
-        every = np.arange(n)
-        return self.information.reshape(n, 3, n, 3)[every, :, every, :]
+        return self.information.reshape(n, 3, n, 3)[rows, :, rows, :]
 
     def _sums(self, inside: Ints, motion: int) -> tuple[Floats, Floats, Floats]:
-        """Sums b (p,), A (p, p), and J B (n, 3, p), of the members inside."""
-        at = (3 * inside[:, None] + np.arange(3)).ravel()
+        """Sums b (p,), A (p, p), and J B (m, 3, p), of and for the members inside."""
+        pushed = self._pushed(inside, inside, motion)
         basis = self.basis[inside, :, :motion].reshape(-1, motion)
-        pushed = self.information[:, at] @ basis
-        matrix = basis.T @ pushed[at]
-        total = self._scores(inside, motion).sum(axis=0)
-        return total, matrix, pushed.reshape(len(self), 3, motion)
+        matrix = basis.T @ pushed.reshape(-1, motion)
+        return self._scores(inside, motion).sum(axis=0), matrix, pushed
+
+    def _pushed(self, rows: Ints, inside: Ints, motion: int) -> Floats:
+        """J B (m, 3, p): forces on `rows` (m,) when the members inside have the motion."""
+        basis = self.basis[inside, :, :motion].reshape(-1, motion)
+        forces = self.information[np.ix_(coordinates(rows), coordinates(inside))] @ basis
+        return np.asarray(forces.reshape(len(rows), 3, motion))
 
     def _scores(self, rows: Ints, motion: int) -> Floats:
-        """B_i's_i (..., p)."""
-        scores = (self.score[:, None, :] @ self.basis[:, :, :motion])[:, 0]
-        return np.asarray(scores[rows])
+        """B_i's_i (m, p)."""
+        return np.asarray((self.score[rows, None, :] @ self.basis[rows, :, :motion])[:, 0])
 
     def _own(self, rows: Ints, motion: int) -> Floats:
-        """B_i'J_iiB_i (..., p, p)."""
-        basis = self.basis[:, :, :motion]
-        return np.asarray((basis.swapaxes(1, 2) @ self._blocks() @ basis)[rows])
+        """B_i'J_iiB_i (m, p, p)."""
+        basis = self.basis[rows, :, :motion]
+        return np.asarray(basis.swapaxes(1, 2) @ self._blocks(rows) @ basis)
+
+
+def _free(
+    total: Floats, matrix: Floats, score: Floats, pushed: Floats, inverses: Floats
+) -> tuple[Floats, Floats]:
+    """
+    Sums b (..., m, p) and A (..., m, p, p) of a motion of m members with each of them free.
+
+    b and A of all of them; their s (..., m, 3), J B (..., m, 3, p) and J_ii⁻¹ (..., m, 3, 3).
+    A displacement of its own takes up whatever share of the motion the member has.
+    """
+    solved = inverses @ pushed
+    return (
+        total - (score[..., None, :] @ solved)[..., 0, :],
+        matrix - pushed.swapaxes(-1, -2) @ solved,
+    )
 
 
 def _squares(vectors: Floats, matrices: Floats) -> Floats:
