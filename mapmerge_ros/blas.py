@@ -24,6 +24,9 @@ from mapmerge_ros.arrays import Floats
 
 _ITEM = np.dtype(np.float64).itemsize
 
+_STRIP = 64
+"""Columns that are mirrored at once."""
+
 
 class _Arguments(ctypes.Structure):
     """Numbers of one call, side by side: Fortran wants their addresses."""
@@ -156,10 +159,19 @@ def inverse_of_factored(lower: Floats) -> Floats:
     """
     if _in_place(_dpotri, lower):
         raise np.linalg.LinAlgError('a matrix is singular')
-    below, diagonal = np.tril(lower, -1), lower.diagonal().copy()
-    np.add(below, below.T, out=lower)
-    np.fill_diagonal(lower, diagonal)
+    mirror(lower)
     return lower
+
+
+def mirror(matrix: Floats) -> None:
+    """Fill the upper triangle (n, n) with the lower one, by strips that the cache holds."""
+    above = np.tri(_STRIP, k=-1, dtype=np.bool_).T
+    for first in range(0, _square(matrix), _STRIP):
+        strip = slice(first, first + _STRIP)
+        rest = slice(first + _STRIP, None)
+        matrix[strip, rest] = matrix[rest, strip].T
+        corner = matrix[strip, strip]
+        np.copyto(corner, corner.T, where=above[: len(corner), : len(corner)])
 
 
 def inverse_of_positive(matrix: Floats) -> Floats:

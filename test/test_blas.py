@@ -14,6 +14,7 @@ from mapmerge_ros.blas import (
     cholesky,
     inverse_of_factored,
     inverse_of_positive,
+    mirror,
     square_of_lower,
     times_lower,
 )
@@ -46,6 +47,16 @@ def test_add_square(size, columns):
     c[...] = np.nan
     add_square(c, a, beta=0.0)
     np.testing.assert_allclose(np.tril(c), np.tril(a @ a.T), atol=1e-12)
+
+
+@pytest.mark.parametrize('size', [*SIZES, 64, 65, 128])
+def test_mirror(size):
+    matrix, whole = blocks(size, size)
+    before, lower = whole.copy(), np.tril(matrix)
+    mirror(matrix)
+    np.testing.assert_array_equal(matrix, lower + np.tril(lower, -1).T)
+    whole[3 : 3 + size, 2 : 2 + size] = before[3 : 3 + size, 2 : 2 + size]
+    np.testing.assert_array_equal(whole, before)
 
 
 @pytest.mark.parametrize('size', SIZES)

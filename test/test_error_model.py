@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.stats
 from gaussian_merges import draw, merged, noise, scene
 
@@ -41,7 +42,7 @@ def test_contrasts_and_normal_equations_say_the_same(gauge):
     assert data.dof == merge.dof
     np.testing.assert_allclose(weighing.price(data), merge.price, rtol=1e-8)
     np.testing.assert_allclose(data.scores(weighing.weighted), state.score, atol=1e-6)
-    blocks = data.blocks(weighing.precision)
+    blocks = weighing.blocks(data)
     np.testing.assert_allclose(blocks, state.information(), rtol=1e-6, atol=1e-6)
 
 
@@ -54,6 +55,33 @@ def test_the_gradient_of_the_likelihood_is_right():
         slope = (ahead.log_likelihood - back.log_likelihood) / 2e-4
         np.testing.assert_allclose(gradient[k], slope, rtol=1e-4)
     assert (np.linalg.eigvalsh(information) > 0.0).all()
+
+
+@pytest.mark.parametrize('gauge', [Gauge.SIMILARITY, Gauge.NONE])
+def test_who_is_unlocked_is_explained_as_frames_are(gauge):
+    """Projected, or the inverse covariance of what neither frames nor members can explain."""
+    data, at = contrasts(draw(2, gauge=gauge), MAX_CONTRASTS), np.array([1.3, 0.4, 0.2])
+    members = np.array([3, 17, 40])
+    blind = data.blind_to(members)
+    unlocked, frames = weigh(data, at).unlocked(data, members), weigh(blind, at)
+    seen = scipy.linalg.null_space(blind.frames.T)
+    precision = seen @ np.linalg.solve(seen.T @ data.covariance(at) @ seen, seen.T)
+    for weighing in (unlocked, frames):
+        np.testing.assert_allclose(
+            weighing.seen(np.eye(len(precision))), precision, atol=1e-9 * np.abs(precision).max()
+        )
+        np.testing.assert_allclose(weighing.weighted, precision @ data.differences, rtol=1e-7)
+    some = data.columns(np.arange(20, 30))
+    own = (some.T @ precision @ some).reshape(10, 3, 10, 3)[np.arange(10), :, np.arange(10)]
+    np.testing.assert_allclose(
+        unlocked.blocks(data)[20:30], own, atol=1e-9 * np.abs(precision).max()
+    )
+    for found, expected in zip(
+        derivatives(data, unlocked), derivatives(blind, frames), strict=True
+    ):
+        np.testing.assert_allclose(found, expected, rtol=1e-7)
+    gradient = 0.5 * (data.parts(unlocked.weighted) @ unlocked.weighted - data.traces(precision))
+    np.testing.assert_allclose(derivatives(data, unlocked)[0], gradient, rtol=1e-7)
 
 
 def test_frames_leave_no_trace_in_the_fit():

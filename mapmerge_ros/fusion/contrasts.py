@@ -11,6 +11,7 @@ the likelihood takes it out (docs/statistics.md).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 import scipy.sparse
@@ -26,6 +27,7 @@ from mapmerge_ros.geometry import scene_radius
 SMOOTH_RADII = 0.7
 """Length of the smooth field, in scene radii: a lens that is wrong bends a map over its extent."""
 
+Sparse: TypeAlias = scipy.sparse.csc_array
 
 NOBODY: Ints = np.zeros(0, np.int64)
 
@@ -77,25 +79,39 @@ class Contrasts:
         parts: Floats = scale * np.array([self.noise @ vector, vector, smooth])
         return parts
 
-    def traces(self, precision: Floats) -> Floats:
-        """Trace of P times the derivative of V by each variance: (3,)."""
-        by_axis = sum(float(np.vdot(precision[k::3, k::3], self.smooth)) for k in range(3))
+    def traces(self, matrix: Floats) -> Floats:
+        """Trace of a matrix (3t, 3t) times the derivative of V by each variance: (3,)."""
+        by_axis = sum(float(np.vdot(matrix[k::3, k::3], self.smooth)) for k in range(3))
         scale = np.array([1.0, self.unit**2, self.unit**2])
-        traces: Floats = scale * [np.vdot(precision, self.noise), np.trace(precision), by_axis]
+        traces: Floats = scale * [np.vdot(matrix, self.noise), np.trace(matrix), by_axis]
         return traces
 
-    def columns(self, members: Ints) -> Floats:
-        """What displacements of some members (m,) do to the differences: (3t, 3m)."""
-        return np.kron(self.from_members[:, members].toarray(), np.eye(3))
+    def traces_of_square(self, root: Floats) -> Floats:
+        """`traces` of R'R, for R (u, 3t)."""
+        by_axis = sum(float(np.vdot(own @ self.smooth, own)) for own in _axes(root))
+        scale = np.array([1.0, self.unit**2, self.unit**2])
+        traces: Floats = scale * [np.vdot(root @ self.noise, root), np.vdot(root, root), by_axis]
+        return traces
 
-    def blocks(self, precision: Floats) -> Floats:
-        """Blocks (s, 3, 3) of C'P C of each member with itself."""
+    def columns(self, members: Ints) -> Sparse:
+        """What displacements of some members (m,) do to the differences: C (3t, 3m)."""
+        chosen = self.from_members[:, members]
+        return scipy.sparse.csc_array(scipy.sparse.kron(chosen, np.eye(3), format='csc'))
+
+    def blocks(self, matrix: Floats) -> Floats:
+        """Blocks (s, 3, 3) of C'M C of each member with itself, for M (3t, 3t)."""
         firsts, seconds, members, values = self.pairs
         count = len(self.tracks)
-        gathered = precision.reshape(count, 3, count, 3)[firsts, :, seconds, :]
+        gathered = matrix.reshape(count, 3, count, 3)[firsts, :, seconds, :]
         blocks = np.zeros((self.from_members.shape[1], 3, 3))
         np.add.at(blocks, members, values[:, None, None] * gathered)
         return blocks
+
+    def by_member(self, rows: Floats) -> Floats:
+        """C'R' (s, 3, u) of some rows R (u, 3t)."""
+        tracks, members = self.from_members.shape
+        found = self.from_members.T @ rows.T.reshape(tracks, 3 * len(rows))
+        return np.asarray(found).reshape(members, 3, len(rows))
 
     def scores(self, weighted: Floats) -> Floats:
         """C'P w (s, 3)."""
@@ -105,7 +121,7 @@ class Contrasts:
         """The same differences, displacements of some members explained like frames."""
         if not len(members):
             return self
-        both = np.column_stack([self.frames, self.columns(members)])
+        both = np.column_stack([self.frames, self.columns(members).toarray()])
         return replace(self, frames=np.linalg.qr(both)[0])
 
     def thinned(self, at_most: int) -> Contrasts:
@@ -181,6 +197,11 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
     )
 
 
+def _axes(rows: Floats) -> Floats:
+    """Rows (u, 3t) by axis, (3, u, t)."""
+    return np.ascontiguousarray(rows.reshape(len(rows), -1, 3).transpose(2, 0, 1))
+
+
 def _spread(tracks: Ints, at_most: int, always: Ints) -> Ints:
     """Rows of some tracks, and of every n-th of the others, so that they are spread like all."""
     others = np.setdiff1d(tracks, always)
@@ -245,4 +266,4 @@ def same_member_pairs(helmert: scipy.sparse.csr_array) -> tuple[Ints, Ints, Ints
 def between(rows: scipy.sparse.csr_array, covariance: Floats) -> Floats:
     """Covariance of some combinations (`rows`) of what has a covariance."""
     half = np.asarray(rows @ covariance)
-    return np.asarray((rows @ half.T).T)
+    return np.asarray(rows @ half.T)

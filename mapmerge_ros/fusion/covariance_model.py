@@ -12,12 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.contrasts import Contrasts
 from mapmerge_ros.fusion.element import coordinates
-from mapmerge_ros.fusion.likelihood import derivatives, step, weigh
+from mapmerge_ros.fusion.likelihood import Weighing, derivatives, step, weigh
 from mapmerge_ros.fusion.local import Sensitivity
 from mapmerge_ros.fusion.quadratic import Quadratic
 from mapmerge_ros.fusion.tails import Tails, fit_tails
@@ -108,6 +107,8 @@ class Fitted:
     price: float
     """Of what is neither moved nor aside, χ²(dof) if the variances are right"""
     dof: int
+    weighing: Weighing
+    """Of all differences"""
 
 
 def fit_model(data: Contrasts, highest: Floats, moved: Ints) -> Fitted:
@@ -159,8 +160,8 @@ def settled(
     `gain` is that over the textbook, where it is known.
     """
     moved = moved[data.owners[moved] >= 0]
-    blind = data.blind_to(moved)
-    weighing = weigh(blind, variances)
+    blind, everything = data.blind_to(moved), weigh(data, variances)
+    weighing = everything.blind_to(blind.frames[:, data.frames.shape[1] :])
     for _ in range(TRIM_ROUNDS):
         before = aside
         aside, worst = trimmed(blind, weighing, aside, moved)
@@ -178,28 +179,27 @@ def settled(
         gain=gain,
         price=rest.price(data),
         dof=blind.dof - 3 * len(aside),
+        weighing=everything,
     )
 
 
-def model_sensitivity(merge: Quadratic, data: Contrasts, model: CovarianceModel) -> Sensitivity:
-    """Local tests under the fitted covariance: s = C'P w, J = C'P C."""
-    weighing = weigh(data, model.variances)
+def model_sensitivity(merge: Quadratic, data: Contrasts, weighing: Weighing) -> Sensitivity:
+    """Local tests under a covariance: s = C'P w, J = C'P C."""
     # Of tracks that are not in the sample nothing is known: their rows are zero.
     present = np.flatnonzero(data.owners >= 0)
-    spread = scipy.sparse.kron(data.from_members[:, present], np.eye(3), format='csc')
-    half = np.asarray(spread.T @ weighing.precision)
     within = []
     for k in range(len(merge.information)):
         part = merge.members.of_map(k)
         low, high = np.searchsorted(present, [part.start, part.stop])
-        own, at = slice(3 * low, 3 * high), coordinates(present[low:high] - part.start)
+        own, at = data.columns(present[low:high]), coordinates(present[low:high] - part.start)
         block = np.zeros((3 * (part.stop - part.start),) * 2)
-        block[np.ix_(at, at)] = (spread[:, own].T @ half[own].T).T
+        block[np.ix_(at, at)] = weighing.seen(own) @ own
         within.append(block)
+    everyone = data.columns(present)
 
     def columns(chosen: Ints) -> Floats:
         answers = np.zeros((3 * len(merge.members), 3 * len(chosen)))
-        answers[coordinates(present)] = half @ data.columns(chosen)
+        answers[coordinates(present)] = everyone.T @ weighing.seen(data.columns(chosen)).T
         return answers
 
     return Sensitivity(

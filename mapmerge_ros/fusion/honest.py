@@ -204,7 +204,7 @@ def _state(
 ) -> Sensitivity:
     if fitted.model.is_textbook:
         return textbook
-    return replace(model_sensitivity(merge, data, fitted.model), follow=textbook.follow)
+    return replace(model_sensitivity(merge, data, fitted.weighing), follow=textbook.follow)
 
 
 def _judged(fitted: Fitted, redundancy: float) -> Examination:

@@ -12,7 +12,7 @@ import scipy.linalg
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.blas import cholesky, inverse_of_factored
 from mapmerge_ros.errors import DegenerateGeometry
-from mapmerge_ros.fusion.contrasts import Contrasts
+from mapmerge_ros.fusion.contrasts import Contrasts, Sparse
 
 LEAST = 1e-4
 """Variance, of the typical one of a difference, that is as good as zero."""
@@ -20,29 +20,57 @@ LEAST = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighing:
-    """Differences weighed with their covariance at some variances, frames taken out."""
+    """
+    Differences weighed with P, their inverse covariance at some variances, blind to frames.
 
-    precision: Floats
-    """P (3t, 3t): inverse covariance of the differences, blind to frames"""
+    P = V⁻¹ - R'R is never formed: what is asked of it costs less with few more rows in R than it
+    would cost to take their square away.
+    """
+
+    inverse: Floats
+    """V⁻¹ (3t, 3t)"""
+    root: Floats
+    """R (u, 3t) of what P does not see: frames, displacements of members"""
     weighted: Floats
     """P w (3t,)"""
     log_likelihood: float
     """Restricted; comparable between variances, not between sets of what is unlocked"""
 
     def unlocked(self, data: Contrasts, members: Ints) -> Weighing:
-        """Blind to displacements of some members as well: a low rank taken away."""
-        if not len(members):
+        """Blind to displacements of some members as well."""
+        return self.blind_to(data.columns(members)) if len(members) else self
+
+    def blind_to(self, columns: Floats | Sparse) -> Weighing:
+        """
+        Blind to what `columns` (3t, m) can explain as well: P - P C (C'P C)⁻¹ C'P.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            P sees some of it as little as it is.
+
+        """
+        if not columns.shape[1]:
             return self
-        columns = data.columns(members)
-        seen = self.precision @ columns
-        factor = scipy.linalg.cholesky(columns.T @ seen, lower=True)
-        half = scipy.linalg.solve_triangular(factor, seen.T, lower=True)
+        seen = self.seen(columns)
+        factor = scipy.linalg.cholesky(np.asarray(seen @ columns), lower=True)
+        rows = scipy.linalg.solve_triangular(factor, seen, lower=True)
         white = scipy.linalg.solve_triangular(factor, columns.T @ self.weighted, lower=True)
         return Weighing(
-            self.precision - half.T @ half,
-            self.weighted - half.T @ white,
+            self.inverse,
+            np.vstack([self.root, rows]),
+            self.weighted - white @ rows,
             self.log_likelihood + 0.5 * float(white @ white) - _log_det(factor),
         )
+
+    def seen(self, columns: Floats | Sparse) -> Floats:
+        """C'P (m, 3t) of some columns C (3t, m)."""
+        return np.asarray(columns.T @ self.inverse - (columns.T @ self.root.T) @ self.root)
+
+    def blocks(self, data: Contrasts) -> Floats:
+        """Blocks (s, 3, 3) of C'P C of each member with itself."""
+        unseen = data.by_member(self.root)
+        return data.blocks(self.inverse) - unseen @ unseen.swapaxes(1, 2)
 
     def price(self, data: Contrasts) -> float:
         """Price w'P w, χ²(dof) if the variances are right."""
@@ -59,7 +87,8 @@ def weigh(data: Contrasts, variances: Floats) -> Weighing:
         The covariance is not definite.
 
     """
-    factor = np.asfortranarray(data.covariance(variances))
+    # symmetric: its rows are its columns, and nothing is copied
+    factor = np.asfortranarray(data.covariance(variances).T)
     try:
         cholesky(factor)
     except np.linalg.LinAlgError:
@@ -67,15 +96,11 @@ def weigh(data: Contrasts, variances: Floats) -> Weighing:
             'the differences of the sub-maps have no definite covariance'
         ) from None
     log_det = _log_det(factor)
-    precision = inverse_of_factored(factor)
-    if data.frames.shape[1]:
-        seen = precision @ data.frames
-        inner = scipy.linalg.cholesky(data.frames.T @ seen, lower=True)
-        half = scipy.linalg.solve_triangular(inner, seen.T, lower=True)
-        precision -= half.T @ half
-        log_det += _log_det(inner)
-    weighted = precision @ data.differences
-    return Weighing(precision, weighted, -log_det - 0.5 * float(data.differences @ weighted))
+    inverse = inverse_of_factored(factor).T
+    weighted = inverse @ data.differences
+    log_likelihood = -log_det - 0.5 * float(data.differences @ weighted)
+    nothing = np.zeros((0, len(weighted)))
+    return Weighing(inverse, nothing, weighted, log_likelihood).blind_to(data.frames)
 
 
 def _log_det(factor: Floats) -> float:
@@ -84,9 +109,10 @@ def _log_det(factor: Floats) -> float:
 
 def derivatives(data: Contrasts, weighing: Weighing) -> tuple[Floats, Floats]:
     """Gradient (3,) and average information (3, 3) of the restricted log-likelihood."""
-    traces, parts = data.traces(weighing.precision), data.parts(weighing.weighted)
+    traces = data.traces(weighing.inverse) - data.traces_of_square(weighing.root)
+    parts = data.parts(weighing.weighted)
     gradient = 0.5 * (parts @ weighing.weighted - traces)
-    return gradient, 0.5 * parts @ weighing.precision @ parts.T
+    return gradient, 0.5 * weighing.seen(parts.T) @ parts.T
 
 
 def step(variances: Floats, gradient: Floats, information: Floats, highest: Floats) -> Floats:

@@ -158,7 +158,7 @@ def _tested(
     if len(own) < MIN_LANDMARKS:
         return None
     columns = data.columns(own)
-    information = columns.T @ weighing.precision @ columns
+    information = weighing.seen(columns) @ columns
     return MapTest(
         k, _statistic(information, columns.T @ weighing.weighted, gauge), 3 * len(own) - gauge
     )

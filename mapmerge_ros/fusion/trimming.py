@@ -51,7 +51,7 @@ def _statistics(data: Contrasts, weighing: Weighing, unlocked: Ints) -> Floats:
     views = np.bincount(data.owners[locked], minlength=int(data.owners.max()) + 1)
     tested = np.flatnonzero(locked & (views[data.owners] > 1))
     scores = data.scores(weighing.weighted)[tested]
-    blocks = data.blocks(weighing.precision)[tested]
+    blocks = weighing.blocks(data)[tested]
     statistics = np.zeros(len(locked))
     statistics[tested] = _squares(scores, blocks)
     return statistics
@@ -60,7 +60,7 @@ def _statistics(data: Contrasts, weighing: Weighing, unlocked: Ints) -> Floats:
 def _given_each_other(data: Contrasts, weighing: Weighing, aside: Ints) -> Floats:
     """Statistic (m,) of each unlocked member, the others staying unlocked."""
     columns = data.columns(aside)
-    covariance = np.linalg.inv(columns.T @ weighing.precision @ columns)
+    covariance = np.linalg.inv(weighing.seen(columns) @ columns)
     displacement = (covariance @ (columns.T @ weighing.weighted)).reshape(-1, 3)
     count, every = len(aside), np.arange(len(aside))
     blocks = covariance.reshape(count, 3, count, 3)[every, :, every, :]
