@@ -11,7 +11,7 @@ from gaussian_merges import draw, merged, noise, scene
 from mapmerge_ros.fusion.contrasts import contrasts, matern
 from mapmerge_ros.fusion.covariance_model import COARSE_CONTRASTS, TEXTBOOK, fit_model
 from mapmerge_ros.fusion.honest import MAX_CONTRASTS, examine
-from mapmerge_ros.fusion.likelihood import derivatives, step, weigh
+from mapmerge_ros.fusion.likelihood import derivatives, log_likelihood, step, weigh
 from mapmerge_ros.fusion.local import local_tests, sensitivity
 from mapmerge_ros.fusion.plausible import MAX_OMEGA_RADII
 from mapmerge_ros.fusion.quadratic import Members
@@ -82,6 +82,14 @@ def test_who_is_unlocked_is_explained_as_frames_are(gauge):
         np.testing.assert_allclose(found, expected, rtol=1e-7)
     gradient = 0.5 * (data.parts(unlocked.weighted) @ unlocked.weighted - data.traces(precision))
     np.testing.assert_allclose(derivatives(data, unlocked)[0], gradient, rtol=1e-7)
+
+
+@pytest.mark.parametrize('gauge', [Gauge.SIMILARITY, Gauge.NONE])
+@pytest.mark.parametrize('unlocked', [NOBODY, np.array([3, 17, 40])])
+def test_the_likelihood_needs_no_inverse(gauge, unlocked):
+    data, at = contrasts(draw(2, gauge=gauge), MAX_CONTRASTS), np.array([1.3, 0.4, 0.2])
+    expected = weigh(data, at).unlocked(data, unlocked).log_likelihood
+    assert log_likelihood(data, at, unlocked) == pytest.approx(expected, rel=1e-10)
 
 
 def test_frames_leave_no_trace_in_the_fit():

@@ -16,7 +16,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.contrasts import Contrasts
 from mapmerge_ros.fusion.element import coordinates
-from mapmerge_ros.fusion.likelihood import Weighing, derivatives, step, weigh
+from mapmerge_ros.fusion.likelihood import Weighing, derivatives, log_likelihood, step, weigh
 from mapmerge_ros.fusion.local import Sensitivity
 from mapmerge_ros.fusion.quadratic import Quadratic
 from mapmerge_ros.fusion.tails import Tails, fit_tails
@@ -169,8 +169,7 @@ def settled(
             break
     rest = weighing.unlocked(blind, aside)
     if gain is None:
-        textbook = weigh(blind, TEXTBOOK).unlocked(blind, aside)
-        gain = rest.log_likelihood - textbook.log_likelihood
+        gain = rest.log_likelihood - log_likelihood(blind, TEXTBOOK, aside)
     tails = fit_tails(worst, LARGEST_TAIL)
     return Fitted(
         CovarianceModel(variances, data.unit, data.radius, tails, steps),

@@ -87,6 +87,36 @@ def weigh(data: Contrasts, variances: Floats) -> Weighing:
         The covariance is not definite.
 
     """
+    factor = _factored(data, variances)
+    log_det = _log_det(factor)
+    inverse = inverse_of_factored(factor).T
+    weighted = inverse @ data.differences
+    log_likelihood = -log_det - 0.5 * float(data.differences @ weighted)
+    nothing = np.zeros((0, len(weighted)))
+    return Weighing(inverse, nothing, weighted, log_likelihood).blind_to(data.frames)
+
+
+def log_likelihood(data: Contrasts, variances: Floats, unlocked: Ints) -> float:
+    """
+    Compute that of `weigh` with some members (m,) unlocked, without the inverse: half the work.
+
+    Raises
+    ------
+    DegenerateGeometry
+        The covariance is not definite.
+
+    """
+    factor = _factored(data, variances)
+    explained = np.column_stack([data.frames, data.columns(unlocked).toarray()])
+    both = np.column_stack([explained, data.differences])
+    white = scipy.linalg.solve_triangular(factor, both, lower=True)
+    # The last pivot is the length of what the others do not explain of the differences.
+    sizes = np.abs(np.linalg.qr(white)[1].diagonal())
+    return -_log_det(factor) - float(np.log(sizes[:-1]).sum()) - 0.5 * float(sizes[-1] ** 2)
+
+
+def _factored(data: Contrasts, variances: Floats) -> Floats:
+    """Cholesky factor of V, in its lower triangle."""
     # symmetric: its rows are its columns, and nothing is copied
     factor = np.asfortranarray(data.covariance(variances).T)
     try:
@@ -95,12 +125,7 @@ def weigh(data: Contrasts, variances: Floats) -> Weighing:
         raise DegenerateGeometry(
             'the differences of the sub-maps have no definite covariance'
         ) from None
-    log_det = _log_det(factor)
-    inverse = inverse_of_factored(factor).T
-    weighted = inverse @ data.differences
-    log_likelihood = -log_det - 0.5 * float(data.differences @ weighted)
-    nothing = np.zeros((0, len(weighted)))
-    return Weighing(inverse, nothing, weighted, log_likelihood).blind_to(data.frames)
+    return factor
 
 
 def _log_det(factor: Floats) -> float:
