@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Objects that moved and turned, and single landmarks that are off."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.stats
@@ -95,6 +97,14 @@ def test_the_loudest_are_freed_as_if_one_by_one(motion):
         members = np.delete(members, loudest)
         patch = Patch.of_map(state, merge.points, 1)
     assert found == pytest.approx(patch.statistic(patch.rows(members), motion), rel=1e-5)
+
+
+def test_a_motion_that_nothing_holds_is_refused():
+    merge = draw(1, landmarks=60, views=(3, 4))
+    patch = Patch.of_map(sensitivity(merge), merge.points, 1)
+    loose = replace(patch, information=np.zeros_like(patch.information))
+    with pytest.raises(np.linalg.LinAlgError):
+        loose.statistic(np.arange(8), TRANSLATION)
 
 
 def test_all_neighbourhoods_at_once_are_those_one_by_one():

@@ -41,7 +41,7 @@ Contrasts on which the fit walks most of its way, and the steps that it then tak
 
 Three variances need no more for single landmarks: 600 differences give φ to 6 %. The price of all
 does: without these steps it is up to 1.2 times its degrees of freedom, p = 1e-6, on merges of 400
-landmarks in which nothing is wrong. A step on 600 contrasts takes 0.2 s.
+landmarks in which nothing is wrong. A step on 600 contrasts takes 0.3 s.
 """
 
 CLEAR_GAIN = 30.0

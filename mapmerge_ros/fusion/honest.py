@@ -51,7 +51,7 @@ MIN_CONTRASTS, MAX_CONTRASTS = 50, 600
 """
 Fewer do not carry three variances and their tails; of more, every n-th track stands for all.
 
-The cost goes with the cube: 600 take 0.5 s a step.
+The cost goes with the cube: 600 take 0.3 s a step.
 """
 
 MIN_GAIN = 8.0

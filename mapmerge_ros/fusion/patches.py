@@ -233,6 +233,12 @@ def _squares(vectors: Floats, matrices: Floats) -> Floats:
     Squares b'A⁻¹b of (..., p) and (..., p, p).
 
     Eliminated all at once: thousands of small systems cost LAPACK ten times as much.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        One of them is singular.
+
     """
     size = vectors.shape[-1]
     rest = np.empty((size, size + 1, *vectors.shape[:-1]))
@@ -242,6 +248,8 @@ def _squares(vectors: Floats, matrices: Floats) -> Floats:
     rest[every, every] += RIDGE * rest[every, every].max(axis=0)
     squares = np.zeros(vectors.shape[:-1])
     for k in range(size):
+        if not np.all(rest[k, k]):
+            raise np.linalg.LinAlgError('a common motion is not determined')
         row = rest[k, k:] / rest[k, k]
         squares += row[-1] * rest[k, size]
         rest[k + 1 :, k + 1 :] -= rest[k + 1 :, k, None] * row[1:]
