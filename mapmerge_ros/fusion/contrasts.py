@@ -17,17 +17,22 @@ import numpy as np
 import scipy.sparse
 import scipy.spatial.distance
 
-from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.blas import inverse_of_positive
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
-from mapmerge_ros.fusion.quadratic import Quadratic
+from mapmerge_ros.fusion.quadratic import Members, Quadratic
 from mapmerge_ros.geometry import scene_radius
 
 SMOOTH_RADII = 0.7
 """Length of the smooth field, in scene radii: a lens that is wrong bends a map over its extent."""
 
 Sparse: TypeAlias = scipy.sparse.csc_array
+
+LEAST_OF_A_MAP = 10
+"""
+Contrasts for each map in a sample, about: a frame explains two and a third, the others are left.
+"""
 
 NOBODY: Ints = np.zeros(0, np.int64)
 
@@ -149,6 +154,9 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
     """
     Contrasts of a merge, of every n-th track if there are more than `at_most`.
 
+    Of a large fleet, within some maps that hang together: spread over all of them, a few members
+    of each would be explained by its frame.
+
     Tracks of the members `suspects` (m,) are always in: whether they moved must not go unasked.
 
     Raises
@@ -159,7 +167,9 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
     """
     members = merge.members
     helmert, tracks = _helmert(members.tracks, merge.views)
-    rows = _spread(tracks, at_most, members.tracks[suspects])
+    near = _within_some_maps(members, at_most // LEAST_OF_A_MAP, suspects)
+    rows = np.flatnonzero(near[tracks])
+    rows = rows[_spread(tracks[rows], at_most, members.tracks[suspects])]
     helmert, tracks = helmert[rows], tracks[rows]
     count = 3 * len(tracks)
     radius = scene_radius(merge.points)
@@ -169,6 +179,8 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
         part, basis = members.of_map(k), merge.frames(k)
         own = helmert[:, part]
         rows = np.flatnonzero(np.diff(own.indptr))
+        if not len(rows):
+            continue
         own = own[rows]
         spread = scipy.sparse.kron(own, np.eye(3), format='csr')
         at = coordinates(rows)
@@ -180,8 +192,10 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
         explained = np.zeros((count, basis.shape[1]))
         explained[at] = spread @ basis
         frames.append(explained)
+    left, sizes, _ = np.linalg.svd(np.column_stack(frames), full_matrices=False)
+    # All maps together can move as one; parts of a sample that do not hang together, each alone.
     rank = sum(map(int, merge.gauges)) - int(merge.gauge)
-    left = np.linalg.svd(np.column_stack(frames), full_matrices=False)[0][:, :rank]
+    left = left[:, : rank if near.all() else int((sizes > 1e-9 * sizes[0]).sum())]
     unit = float(np.sqrt(np.median(np.diag(noise))))
     return Contrasts(
         from_members=helmert,
@@ -200,6 +214,27 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
 def _axes(rows: Floats) -> Floats:
     """Rows (u, 3t) by axis, (3, u, t)."""
     return np.ascontiguousarray(rows.reshape(len(rows), -1, 3).transpose(2, 0, 1))
+
+
+def _within_some_maps(members: Members, most: int, suspects: Ints) -> Mask:
+    """Tracks (n,) that only some maps have: those of the suspects, and then the nearest ones."""
+    count = int(members.maps.max()) + 1
+    size = int(members.tracks.max()) + 1
+    if count <= most:
+        return np.ones(size, bool)
+    has = scipy.sparse.csr_array((np.ones(len(members)), (members.maps, members.tracks)))
+    shared = has @ has.T
+    chosen = np.zeros(count, bool)
+    chosen[members.maps[suspects]] = True
+    if not chosen.any():
+        chosen[int(np.argmax(np.bincount(members.maps)))] = True
+    while chosen.sum() < most:
+        more = np.where(chosen, 0.0, shared @ chosen.astype(np.float64))
+        if not more.any():
+            break
+        chosen[int(np.argmax(more))] = True
+    outside = np.bincount(members.tracks, weights=~chosen[members.maps], minlength=size)
+    return np.asarray(outside == 0.0)
 
 
 def _spread(tracks: Ints, at_most: int, always: Ints) -> Ints:

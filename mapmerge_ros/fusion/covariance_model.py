@@ -124,7 +124,8 @@ def fit_model(data: Contrasts, highest: Floats, moved: Ints) -> Fitted:
 
     """
     start = np.minimum([1.0, 0.1, 0.1], highest)
-    coarse = data.thinned(COARSE_CONTRASTS)
+    # As many as frames have directions: of each map then two thirds are left.
+    coarse = data.thinned(max(COARSE_CONTRASTS, data.frames.shape[1]))
     variances, aside, taken = _iterate(coarse, start, highest, moved, MAX_STEPS)
     if coarse is data:
         return settled(data, variances, moved, aside, taken)

@@ -9,13 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.blas import cholesky, inverse_of_factored
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.contrasts import Contrasts, Sparse
 
 LEAST = 1e-4
 """Variance, of the typical one of a difference, that is as good as zero."""
+
+
+SEEN = 1e-9
+"""
+Share of what is known of a displacement that frames must leave, or all that is left is rounding.
+
+A map with three members in a sample is explained by its frame, whatever they are.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,10 +75,12 @@ class Weighing:
         """C'P (m, 3t) of some columns C (3t, m)."""
         return np.asarray(columns.T @ self.inverse - (columns.T @ self.root.T) @ self.root)
 
-    def blocks(self, data: Contrasts) -> Floats:
-        """Blocks (s, 3, 3) of C'P C of each member with itself."""
-        unseen = data.by_member(self.root)
-        return data.blocks(self.inverse) - unseen @ unseen.swapaxes(1, 2)
+    def blocks(self, data: Contrasts) -> tuple[Floats, Mask]:
+        """Blocks (s, 3, 3) of C'P C of each member with itself; whether P sees all of it."""
+        unseen, whole = data.by_member(self.root), data.blocks(self.inverse)
+        blocks = whole - unseen @ unseen.swapaxes(1, 2)
+        sizes = np.einsum('sii->s', whole)
+        return blocks, np.linalg.eigvalsh(blocks)[:, 0] > SEEN * sizes
 
     def price(self, data: Contrasts) -> float:
         """Price w'P w, χ²(dof) if the variances are right."""

@@ -9,7 +9,7 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.distributions import chi2_quantile
 from mapmerge_ros.fusion.contrasts import Contrasts
-from mapmerge_ros.fusion.likelihood import Weighing
+from mapmerge_ros.fusion.likelihood import SEEN, Weighing
 
 TRIM = chi2_quantile(1e-3, 3)
 """Statistic beyond which a landmark has no say in the fit: of Gaussian ones, one in a thousand."""
@@ -41,7 +41,7 @@ def trimmed(data: Contrasts, weighing: Weighing, aside: Ints, moved: Ints) -> tu
     chosen = worst[statistics[worst] > limits[worst]]
     most = int(MOST_ASIDE * len(worst))
     chosen = chosen[np.argsort(-statistics[chosen], kind='stable')][:most]
-    return np.sort(chosen), statistics[worst]
+    return np.sort(_together(data, weighing, chosen)), statistics[worst]
 
 
 def _statistics(data: Contrasts, weighing: Weighing, unlocked: Ints) -> Floats:
@@ -50,11 +50,32 @@ def _statistics(data: Contrasts, weighing: Weighing, unlocked: Ints) -> Floats:
     locked[unlocked] = False
     views = np.bincount(data.owners[locked], minlength=int(data.owners.max()) + 1)
     tested = np.flatnonzero(locked & (views[data.owners] > 1))
-    scores = data.scores(weighing.weighted)[tested]
-    blocks = weighing.blocks(data)[tested]
+    blocks, is_seen = weighing.blocks(data)
+    tested = tested[is_seen[tested]]
+    scores, blocks = data.scores(weighing.weighted)[tested], blocks[tested]
     statistics = np.zeros(len(locked))
     statistics[tested] = _squares(scores, blocks)
     return statistics
+
+
+def _together(data: Contrasts, weighing: Weighing, members: Ints) -> Ints:
+    """
+    Members (m,) whose displacements are all seen, each given those before it.
+
+    Of a map with few members in the sample some can be free, the others then hold its frame.
+    """
+    information = np.asarray(weighing.seen(columns := data.columns(members)) @ columns)
+    sizes = np.einsum('ii->i', information).copy()
+    kept = []
+    for k in range(len(members)):
+        own = slice(3 * k, 3 * k + 3)
+        values, vectors = np.linalg.eigh(information[own, own])
+        if values[0] <= SEEN * sizes[own].sum():
+            continue
+        kept.append(k)
+        root = information[:, own] @ (vectors / np.sqrt(values))
+        information = information - root @ root.T
+    return members[kept]
 
 
 def _given_each_other(data: Contrasts, weighing: Weighing, aside: Ints) -> Floats:
