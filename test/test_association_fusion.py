@@ -196,12 +196,16 @@ def test_a_map_under_two_names_is_refused_and_the_rest_is_as_without_it(submaps,
 @pytest.mark.parametrize('is_moved', [False, True])
 def test_a_map_under_two_names_in_one_id_space_is_refused_as_well(fleet, is_moved):
     names = [replace(name, id_space='yard') for name in fleet.names]
-    chosen = matched(fleet.bundles, CAP)
+    bundles = [
+        replace(bundle, point_ids=truth)
+        for bundle, truth in zip(fleet.bundles, fleet.truth.landmark_ids, strict=True)
+    ]
+    chosen = matched(bundles, CAP)
     submaps = [
         compress(bundle, name, ids, catalogue=False)
-        for bundle, name, ids in zip(fleet.bundles, names, chosen, strict=True)
+        for bundle, name, ids in zip(bundles, names, chosen, strict=True)
     ]
-    bundle = fleet.bundles[1]
+    bundle = bundles[1]
     if is_moved:
         bundle = bundle.transformed(Similarity.exp(np.random.default_rng(0).normal(size=7)))
     twin = compress(bundle, replace(names[1], map_id='twin'), chosen[1][:-5], catalogue=False)

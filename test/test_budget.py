@@ -21,10 +21,11 @@ from mapmerge_ros.submap import SubMap, catalogue_bytes, information_bytes, most
 
 
 def pair(points: int = 120) -> tuple[list[Bundle], list[MapName]]:
-    """Two bundles that have every other point in common, and how they are called."""
-    bundles = []
+    """Two bundles of one place with every other point in common, and how they are called."""
+    place, bundles = random_bundle(0, points=points), []
     for k in range(2):
-        bundle = random_bundle(k, points=points)
+        noise = np.random.default_rng(k).normal(size=place.observations_px.shape)
+        bundle = replace(place, observations_px=place.observations_px + 0.1 * noise)
         own = np.arange(points) % 2 == 1
         ids = bundle.point_ids + np.where(own, 1000 * (k + 1), 0).astype(np.uint64)
         bundles.append(replace(bundle, point_ids=ids))
