@@ -34,7 +34,7 @@ class Store:
 
     def add(self, submap: SubMap) -> Receipt:
         """
-        Take a sub-map in, unless it is our own output, no newer than what is here, or named alike.
+        Take a sub-map in, unless it is our own output, another robot's name, or no newer.
 
         A robot that was restarted under its name may count revisions from the beginning. What it
         sends then has newer measurements than anything from its life before, which no late

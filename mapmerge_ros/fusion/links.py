@@ -147,13 +147,9 @@ def _links(
     moved_b = robust.S_target_source.apply(pairs.segments, points_b)
     apart = _contradicting(points_a, moved_b, precision, pairs.segments, config)
     unlike = _unlike(points_a, moved_b, precision, pairs.segments, config)
-    # Frames that may not move say nothing about ids.
     for k in np.flatnonzero(unlike & (gauges < Gauge.SIMILARITY)).tolist():
-        rows, own = pairs.segments.rows(k), Segments.of_lengths(pairs.segments.lengths[[k]])
-        here, there, weight = points_a[rows], points_b[rows], precision[rows]
-        free = align_pairs(here, there, own, np.array([int(Gauge.SIMILARITY)]), weight)
-        there = free.S_target_source.apply(own, there)
-        unlike[k] = _unlike(here, there, weight, own, config)[0]
+        rows = pairs.segments.rows(k)
+        unlike[k] = _unlike_in_any_frame(points_a[rows], points_b[rows], precision[rows], config)
     turns = _worst_turns(points_a, moved_b, pairs.segments)
     links = []
     for k, rows in enumerate(map(pairs.segments.rows, range(len(pairs.segments)))):
@@ -197,6 +193,16 @@ def _contradicting(
     significant = standardised > config.contradiction_ratio * usual[owners]
     far = distances > config.contradiction_extent * extents(points_a, segments)[owners]
     return np.asarray(significant & far & (segments.lengths >= MIN_TO_JUDGE)[owners])
+
+
+def _unlike_in_any_frame(
+    points_a: Floats, points_b: Floats, precision: Floats, config: FusionConfig
+) -> bool:
+    """`_unlike` for one pair: frames that may not move say nothing about ids."""
+    own, free = Segments.of_lengths([len(points_a)]), np.array([int(Gauge.SIMILARITY)])
+    found = align_pairs(points_a, points_b, own, free, precision)
+    moved_b = found.S_target_source.apply(own, points_b)
+    return bool(_unlike(points_a, moved_b, precision, own, config)[0])
 
 
 def _unlike(

@@ -28,6 +28,9 @@ A fit that starts from all landmarks may miss the frame that more than half of t
 the others in it the scale falls, and all look alike.
 """
 
+POOR_PX = 2.0
+"""Median residual of a landmark in its own map that there must be, too; 0.3 to 0.7 are usual."""
+
 MUCH_BETTER = 0.5
 """
 Share of that distance which a frame from samples must have to be taken.
@@ -49,25 +52,24 @@ def align_pairs(
     """
     `align_segments_robustly` of b to a (rows, 3), each pair until it has settled.
 
-    None depends on the others. For a pair that fits poorly the frame is tried that the best half
-    of its landmarks agree on (least median of squares, Rousseeuw 1984).
+    `weights` (rows,) are informations [px² / unit²]. None depends on the others. For a pair that
+    fits poorly the frame is tried that the best half of its landmarks agree on (least median of
+    squares, Rousseeuw 1984).
     """
     found = align_segments(points_a, points_b, segments, gauges, weights)
     found = _settled(points_a, points_b, segments, gauges, weights, found)
-    fit = _medians(points_a, points_b, segments, found)
+    distances = _distances(points_a, points_b, segments, found)
+    fit = segments.medians(distances)
     poor = (fit > POOR * extents(points_a, segments)) & (segments.lengths >= LEAST_SAMPLED)
+    poor &= segments.medians(distances * np.sqrt(weights)) > POOR_PX
     each, determined = found.S_target_source, found.determined.copy()
     for k in np.flatnonzero(poor):
         rows = segments.rows(int(k))
-        here, there, own = (
-            points_a[rows],
-            points_b[rows],
-            Segments.of_lengths([len(weights[rows])]),
-        )
+        here, there = points_a[rows], points_b[rows]
         again = _sampled(here, there, gauges[[k]])
-        if again.determined[0] and _medians(here, there, own, again)[0] < MUCH_BETTER * fit[k]:
-            at = np.arange(len(segments)) != k
-            each = each.where(at, again.S_target_source)
+        left = _distances(here, there, Segments.of_lengths([len(here)]), again)
+        if again.determined[0] and np.median(left) < MUCH_BETTER * fit[k]:
+            each = each.where(np.arange(len(segments)) != k, again.S_target_source)
             determined[k] = True
     return Alignments(each, determined)
 
@@ -105,10 +107,12 @@ def _settled(
     return Alignments(best, determined)
 
 
-def _medians(points_a: Floats, points_b: Floats, segments: Segments, found: Alignments) -> Floats:
-    """Median distance (n,) of the landmarks of each pair, frame of a."""
+def _distances(
+    points_a: Floats, points_b: Floats, segments: Segments, found: Alignments
+) -> Floats:
+    """How far apart the landmarks (rows,) of each pair are in one frame, that of a."""
     moved = found.S_target_source.apply(segments, points_b)
-    return segments.medians(np.linalg.norm(moved - points_a, axis=1))
+    return np.asarray(np.linalg.norm(moved - points_a, axis=1))
 
 
 def _sampled(points_a: Floats, points_b: Floats, gauge: Ints) -> Alignments:
