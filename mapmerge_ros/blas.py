@@ -65,8 +65,11 @@ def _routine(module: ModuleType, name: str, arguments: int) -> Any:
         [ctypes.py_object, ctypes.c_char_p],
     )
     signature = api.PyCapsule_GetName(capsule)
-    if signature.count(b'*') != arguments or signature.count(b'int *') != signature.count(b'int'):
-        raise ImportError(f'{name} of {module.__name__} is not as expected: {signature!r}')
+    # Whole numbers of another size would be read as something else, without a word.
+    kinds = signature.decode().removeprefix('void (').removesuffix(')').split(', ')
+    strange = [x for x in kinds if x not in ('char *', 'int *') and not x.endswith('_d *')]
+    if len(kinds) != arguments or strange:
+        raise ImportError(f'{module.__name__} exports {name} as {signature!r}: use another SciPy')
     kind = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)
     return kind(api.PyCapsule_GetPointer(capsule, signature))
 
