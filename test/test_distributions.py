@@ -55,7 +55,9 @@ def test_binomial_tail(count: int, share: float) -> None:
 def test_likelihood_of_an_f_distribution(freedom: float) -> None:
     values, law = VALUES[2:8], scipy.stats.f(3, freedom)
     np.testing.assert_allclose(f_log_density(values, 3, freedom), law.logpdf(values), 1e-11)
-    np.testing.assert_allclose(f_log_distribution(values, 3, freedom), law.logcdf(values), 1e-11)
+    # Older SciPy has no digits here where nearly everything is below.
+    found = f_log_distribution(values, 3, freedom)
+    np.testing.assert_allclose(found, law.logcdf(values), 1e-11, 2e-16)
     assert f_log_distribution(np.inf, 3, freedom) == 0.0
 
 
