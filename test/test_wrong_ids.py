@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapmerge_ros.fusion import State, fuse
+from mapmerge_ros.fusion import FusionConfig, State, fuse
+from mapmerge_ros.fusion.associate import associate_by_id
+from mapmerge_ros.fusion.links import find_links
 from mapmerge_ros.fusion.pair_frames import align_pairs
 from mapmerge_ros.geometry import Gauge, Segments, Similarity
 from mapmerge_ros.io import read_submaps
@@ -95,6 +97,24 @@ def test_the_frame_is_that_of_the_landmarks_that_agree(gauge, wrong):
     assert found.determined.all()
     off = np.linalg.norm(found.S_target_source[0].apply(there) - S_a_b.apply(there), axis=1)
     assert np.median(off) < 0.15
+
+
+def test_landmarks_that_determine_no_frame_are_not_called_wrong(submaps):
+    """All on one line: the frames may be anywhere about it, and that is the reason given."""
+    first = submaps[0]
+    rows = np.flatnonzero(np.isin(first.compressed_ids, submaps[1].compressed_ids))
+    assert len(rows) >= 8
+    on_line = first.points.copy()
+    on_line[rows] = np.outer(np.linspace(0.0, 9.0, len(rows)), [1.0, 2.0, 0.5])
+    links = find_links(
+        (replace(first, points=on_line), submaps[1]),
+        associate_by_id((first, submaps[1])),
+        FusionConfig(),
+    )
+    (link,) = links
+    assert link.S_a_b is None
+    assert 'not the same points' not in link.reason
+    assert not len(link.contradicting)
 
 
 def test_pairs_do_not_depend_on_each_other():

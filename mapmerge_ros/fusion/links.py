@@ -146,7 +146,9 @@ def _links(
     robust = align_pairs(points_a, points_b, pairs.segments, gauges, precision)
     moved_b = robust.S_target_source.apply(pairs.segments, points_b)
     apart = _contradicting(points_a, moved_b, precision, pairs.segments, config)
-    unlike = _unlike(points_a, moved_b, precision, pairs.segments, config)
+    determined = plain.determined & robust.determined
+    # Where the frame is not determined, nobody knows how far apart they are.
+    unlike = determined & _unlike(points_a, moved_b, precision, pairs.segments, config)
     for k in np.flatnonzero(unlike & (gauges < Gauge.SIMILARITY)).tolist():
         rows = pairs.segments.rows(k)
         unlike[k] = _unlike_in_any_frame(points_a[rows], points_b[rows], precision[rows], config)
@@ -160,7 +162,7 @@ def _links(
                 'two numbers them anew, and needs an id_space of its own'
             )
             links.append(Link(a, b, shared, None, reason, contradicting=pairs.tracks[rows]))
-        elif plain.determined[k] and robust.determined[k]:
+        elif determined[k]:
             contradicting = pairs.tracks[rows][apart[rows]]
             S_a_b = robust.S_target_source[k]
             links.append(Link(a, b, shared, S_a_b, turn=turns[k], contradicting=contradicting))
@@ -202,7 +204,8 @@ def _unlike_in_any_frame(
     own, free = Segments.of_lengths([len(points_a)]), np.array([int(Gauge.SIMILARITY)])
     found = align_pairs(points_a, points_b, own, free, precision)
     moved_b = found.S_target_source.apply(own, points_b)
-    return bool(_unlike(points_a, moved_b, precision, own, config)[0])
+    unlike = found.determined & _unlike(points_a, moved_b, precision, own, config)
+    return bool(unlike[0])
 
 
 def _unlike(
