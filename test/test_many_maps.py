@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from gaussian_merges import draw, merged, noise, scene
 
-from mapmerge_ros.fusion.contrasts import LEAST_OF_A_MAP, contrasts
+from mapmerge_ros.fusion.contrasts import contrasts
 from mapmerge_ros.fusion.honest import examine
 from mapmerge_ros.fusion.likelihood import weigh
+from mapmerge_ros.fusion.sample import LEAST_OF_A_MAP
 from mapmerge_ros.fusion.trimming import _together
 
 NOISE = 1.4

@@ -17,24 +17,18 @@ import numpy as np
 import scipy.sparse
 import scipy.spatial.distance
 
-from mapmerge_ros.arrays import Floats, Ints, Mask
+from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.blas import inverse_of_positive
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
-from mapmerge_ros.fusion.quadratic import Members, Quadratic
+from mapmerge_ros.fusion.quadratic import Quadratic
+from mapmerge_ros.fusion.sample import LEAST_OF_A_MAP, NOBODY, spread_over, within_some_maps
 from mapmerge_ros.geometry import scene_radius
 
 SMOOTH_RADII = 0.7
 """Length of the smooth field, in scene radii: a lens that is wrong bends a map over its extent."""
 
 Sparse: TypeAlias = scipy.sparse.csc_array
-
-LEAST_OF_A_MAP = 10
-"""
-Contrasts for each map in a sample, about: a frame explains two and a third, the others are left.
-"""
-
-NOBODY: Ints = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +125,7 @@ class Contrasts:
 
     def thinned(self, at_most: int) -> Contrasts:
         """Contrasts of every n-th track only."""
-        rows = _spread(self.tracks, at_most, NOBODY)
+        rows = spread_over(self.tracks, at_most, NOBODY)
         if len(rows) == len(self.tracks):
             return self
         at = coordinates(rows)
@@ -167,9 +161,9 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
     """
     members = merge.members
     helmert, tracks = _helmert(members.tracks, merge.views)
-    near = _within_some_maps(members, at_most // LEAST_OF_A_MAP, suspects)
+    near = within_some_maps(members, at_most // LEAST_OF_A_MAP, suspects)
     rows = np.flatnonzero(near[tracks])
-    rows = rows[_spread(tracks[rows], at_most, members.tracks[suspects])]
+    rows = rows[spread_over(tracks[rows], at_most, members.tracks[suspects])]
     helmert, tracks = helmert[rows], tracks[rows]
     count = 3 * len(tracks)
     radius = scene_radius(merge.points)
@@ -214,35 +208,6 @@ def contrasts(merge: Quadratic, at_most: int, suspects: Ints = NOBODY) -> Contra
 def _axes(rows: Floats) -> Floats:
     """Rows (u, 3t) by axis, (3, u, t)."""
     return np.ascontiguousarray(rows.reshape(len(rows), -1, 3).transpose(2, 0, 1))
-
-
-def _within_some_maps(members: Members, most: int, suspects: Ints) -> Mask:
-    """Tracks (n,) that only some maps have: those of the suspects, and then the nearest ones."""
-    count = int(members.maps.max()) + 1
-    size = int(members.tracks.max()) + 1
-    if count <= most:
-        return np.ones(size, bool)
-    has = scipy.sparse.csr_array((np.ones(len(members)), (members.maps, members.tracks)))
-    shared = has @ has.T
-    chosen = np.zeros(count, bool)
-    chosen[members.maps[suspects]] = True
-    if not chosen.any():
-        chosen[int(np.argmax(np.bincount(members.maps)))] = True
-    while chosen.sum() < most:
-        more = np.where(chosen, 0.0, shared @ chosen.astype(np.float64))
-        if not more.any():
-            break
-        chosen[int(np.argmax(more))] = True
-    outside = np.bincount(members.tracks, weights=~chosen[members.maps], minlength=size)
-    return np.asarray(outside == 0.0)
-
-
-def _spread(tracks: Ints, at_most: int, always: Ints) -> Ints:
-    """Rows of some tracks, and of every n-th of the others, so that they are spread like all."""
-    others = np.setdiff1d(tracks, always)
-    left = max(at_most - int(np.isin(tracks, always).sum()), at_most // 4)
-    every = max(1, -(-int(np.isin(tracks, others).sum()) // left))
-    return np.flatnonzero(np.isin(tracks, np.union1d(others[::every], always)))
 
 
 def matern(points: Floats, length: float) -> Floats:

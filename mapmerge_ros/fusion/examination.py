@@ -10,10 +10,10 @@ import numpy as np
 
 from mapmerge_ros.arrays import Ints
 from mapmerge_ros.distributions import tail
-from mapmerge_ros.fusion.contrasts import NOBODY
 from mapmerge_ros.fusion.covariance_model import CovarianceModel
 from mapmerge_ros.fusion.local import LocalTests
 from mapmerge_ros.fusion.objects import MovedObject
+from mapmerge_ros.fusion.sample import NOBODY
 from mapmerge_ros.fusion.scales import ScaleTest
 
 

@@ -17,7 +17,6 @@ import scipy.sparse
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.contrasts import (
-    NOBODY,
     Contrasts,
     between,
     contrasts,
@@ -29,6 +28,7 @@ from mapmerge_ros.fusion.honest import MAX_CONTRASTS, MIN_CONTRASTS, MIN_GAIN
 from mapmerge_ros.fusion.likelihood import Weighing, weigh
 from mapmerge_ros.fusion.plausible import largest_variances
 from mapmerge_ros.fusion.quadratic import Quadratic
+from mapmerge_ros.fusion.sample import NOBODY
 
 MOST_OF_ONE = 30.0
 """χ²(3) that one landmark may contribute at most: bad tracks make no wrong map."""

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg.blas import dtrmv, strmm, strmv
 
 from mapmerge_ros.arrays import Floats, Ints
-from mapmerge_ros.blas import square_of_lower, times_lower
+from mapmerge_ros.blas import mirror, square_of_lower, times_lower
 from mapmerge_ros.fusion.joint.fronts import Front, Fronts, Run
 
 LARGEST_KEPT = 2**26
@@ -197,9 +197,9 @@ def _inverse(block: Block, boundary: Floats) -> Floats:
     """Inverse (k + b, k + b) of a front from that of its boundary (b, b), both full."""
     k, b = len(block.inverse), len(boundary)
     inverse = np.empty((k + b, k + b), order='F')
-    lower = block.inverse.copy(order='F')  # above the diagonal it is zero
-    square_of_lower(lower)
-    own = mirrored(lower)
+    own = block.inverse.copy(order='F')
+    square_of_lower(own)
+    mirror(own)
     if b:
         coupling = block.below.copy(order='F')
         times_lower(coupling, block.inverse, right=True)
@@ -209,13 +209,6 @@ def _inverse(block: Block, boundary: Floats) -> Floats:
         inverse[k:, k:] = boundary
     inverse[:k, :k] = own
     return inverse
-
-
-def mirrored(lower: Floats) -> Floats:
-    """Symmetric matrix of a lower triangle, with zeros above its diagonal."""
-    whole: Floats = lower + lower.T
-    np.einsum('ii->i', whole)[:] *= 0.5
-    return whole
 
 
 def _pick(matrix: Floats, runs: tuple[Run, ...]) -> Floats:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from mapmerge_ros.arrays import Floats, Ints
-from mapmerge_ros.blas import add_square, times_lower
+from mapmerge_ros.blas import add_square, mirror, times_lower
 from mapmerge_ros.fusion.joint.factor import Block, Factor
 from mapmerge_ros.fusion.joint.fronts import Front, Fronts
 from mapmerge_ros.fusion.joint.stacks import Stacks
@@ -76,7 +76,8 @@ def factorise(
                 _assemble(front, updates, pivot, below, rest)
             stacks.pop(front.depth + 1, [len(updates.pop(child)) for child in front.children])
         if keep_root and node == len(fronts.fronts) - 1:
-            root = np.tril(pivot) + np.tril(pivot, -1).T
+            root = pivot.copy(order='F')
+            mirror(root)
             return Factor(fronts, tuple(blocks), storage, root)
         _eliminate(pivot, below, rest)
         if not exact:

@@ -9,13 +9,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ints
-from mapmerge_ros.blas import add_square
+from mapmerge_ros.blas import add_square, mirror
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.cost import JointCost, State
 from mapmerge_ros.fusion.joint.covariance import Gathering, Uncertainty
-from mapmerge_ros.fusion.joint.factor import mirrored
 from mapmerge_ros.fusion.joint.factorise import factorise
 from mapmerge_ros.fusion.joint.minimise import held_by, middle, plan
 from mapmerge_ros.fusion.quadratic import Members, Quadratic
@@ -120,7 +119,8 @@ def _informations(cost: JointCost, state: State, sigma: float) -> tuple[Floats, 
     jacobians, lengths = derivatives.Jacobians(cost, state), cost.segments.lengths
     found = []
     for k, length in enumerate(lengths):
-        lower = np.zeros((3 * length, 3 * length), order='F')
-        add_square(lower, jacobians.of(k, np.arange(length)).T, 1.0 / sigma**2)
-        found.append(mirrored(lower))
+        information = np.empty((3 * length, 3 * length), order='F')
+        add_square(information, jacobians.of(k, np.arange(length)).T, 1.0 / sigma**2, beta=0.0)
+        mirror(information)
+        found.append(information)
     return tuple(found)

@@ -16,10 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.blas import mirror
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.joint.derivatives import Jacobians
-from mapmerge_ros.fusion.joint.factor import Change, Factor, mirrored
+from mapmerge_ros.fusion.joint.factor import Change, Factor
 from mapmerge_ros.fusion.joint.fronts import Fronts
 from mapmerge_ros.fusion.joint.minimise import OPERATIONS_PER_NUMBER
 from mapmerge_ros.submap import unpack
@@ -102,7 +103,8 @@ def change(factor: Factor, old: Member, new: Member, scale: float = 1.0) -> Chan
     front = factor.fronts.fronts[path[0]]
     landmarks = front.rows[::3] // 3
     at = np.flatnonzero(np.isin(landmarks, had))  # private ones are in the front as well
-    covariance = mirrored(unpack(triangle, 3 * len(at), 3 * len(at)))
+    covariance = unpack(triangle, 3 * len(at), 3 * len(at)).T
+    mirror(covariance)
     slots = np.full(factor.fronts.size // 3, -1)
     slots[landmarks[at]] = np.arange(len(at))
     difference = np.zeros(covariance.shape)
