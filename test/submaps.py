@@ -78,6 +78,21 @@ def random_submap(rng: np.random.Generator, **changes: Any) -> SubMap:
     return SubMap(**{**values, **changes})
 
 
+def small_submap() -> SubMap:
+    return random_submap(
+        np.random.default_rng(6),
+        map_id='drone1/0001',
+        gauge=Gauge.SIMILARITY,
+        landmark_ids=np.arange(5),
+        points=np.arange(15.0).reshape(5, 3),
+        covariances=np.ones((5, 6)),
+        compressed_count=4,
+        packed_r=np.ones(5 * 12 - 10, np.float32),
+        c=np.ones(5),
+        descriptors=Descriptors(DescriptorType.BINARY, np.zeros((5, 32), np.uint8)),
+    )
+
+
 def random_bundle(rng: np.random.Generator, gauge: Gauge = Gauge.SIMILARITY) -> NamedBundle:
     """A bundle of 5 key frames that look down a corridor of 12 points, seen by all."""
     m, n = 5, 12

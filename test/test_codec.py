@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from submaps import assert_same, random_bundle, random_submap
+from submaps import assert_same, random_bundle, random_submap, small_submap
 
-from mapmerge_ros.errors import InvalidValue, MapMergeError
-from mapmerge_ros.geometry import Gauge
+from mapmerge_ros.errors import MapMergeError
 from mapmerge_ros.io import (
     MAX_MESSAGE_BYTES,
     InvalidMessage,
@@ -39,7 +38,6 @@ from mapmerge_ros.io.typestore import (
     schema_text,
     typestore,
 )
-from mapmerge_ros.submap import Descriptors, DescriptorType, SubMap
 
 SEEDS = range(25)
 
@@ -200,21 +198,6 @@ BAD_SUBMAPS: dict[str, tuple[Spoil, str]] = {
 }
 
 
-def small_submap() -> SubMap:
-    return random_submap(
-        np.random.default_rng(6),
-        map_id='drone1/0001',
-        gauge=Gauge.SIMILARITY,
-        landmark_ids=np.arange(5),
-        points=np.arange(15.0).reshape(5, 3),
-        covariances=np.ones((5, 6)),
-        compressed_count=4,
-        packed_r=np.ones(5 * 12 - 10, np.float32),
-        c=np.ones(5),
-        descriptors=Descriptors(DescriptorType.BINARY, np.zeros((5, 32), np.uint8)),
-    )
-
-
 @pytest.mark.parametrize('case', BAD_SUBMAPS)
 def test_bad_submap_is_refused_by_field(case: str) -> None:
     spoil, reason = BAD_SUBMAPS[case]
@@ -279,27 +262,3 @@ def test_values_are_not_views_of_the_message() -> None:
     message.r[:] = 7.0
     assert (submap.packed_r == 1.0).all()
     assert not submap.packed_r.flags.writeable
-
-
-@pytest.mark.parametrize(
-    ('rows', 'reason'),
-    [
-        ([-1.0, 0, 0, 1, 0, 1], 'a variance of -1 is negative'),
-        ([1.0, 0, 0, -1e-3, 0, 1], 'is negative'),
-        ([1.0, 1.5, 0, 1, 0, 1], 'a correlation above 1'),
-        ([1.0, 0, 0, 1, -2.0, 1], 'a correlation above 1'),
-    ],
-)
-def test_what_is_no_covariance_is_refused(rows: list[float], reason: str) -> None:
-    submap = small_submap()
-    covariances = np.tile([1.0, 0, 0, 1, 0, 1], (len(submap.points), 1))
-    assert replace(submap, covariances=covariances).covariances is not None
-    covariances[1] = rows
-    with pytest.raises(InvalidValue, match=reason):
-        replace(submap, covariances=covariances)
-
-
-def test_an_offset_beyond_all_of_the_map_is_refused() -> None:
-    submap = small_submap()
-    with pytest.raises(InvalidValue, match='c: its norm is 1e\\+09 px'):
-        replace(submap, c=np.full(len(submap.c), 1e9 / np.sqrt(len(submap.c))))
