@@ -18,21 +18,23 @@ check: install-test
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
+# Two processes, each test file in one of them: many tests wait for nodes.
+PYTEST := -m pytest -n 2 --dist loadfile
 unit: install-test
-	$(BIN)/python -m pytest
+	$(BIN)/python $(PYTEST)
 
 # The engine with the oldest libraries that setup.py allows, without ROS and Ceres. NumPy 1.26 has wheels up to
 # Python 3.12.
 OLDEST := build/oldest
 oldest:
 	@if $(PYTHON) -c 'import sys; sys.exit(sys.version_info >= (3, 13))'; \
-	then $(MAKE) --no-print-directory $(OLDEST)/.installed && $(OLDEST)/bin/python -m pytest; \
+	then $(MAKE) --no-print-directory $(OLDEST)/.installed && $(OLDEST)/bin/python $(PYTEST); \
 	else echo 'oldest: not with Python 3.13 or newer'; fi
 
 $(OLDEST)/.installed: setup.py test/constraints-oldest.txt
 	$(PYTHON) -m venv $(OLDEST)
 	$(OLDEST)/bin/python -m pip --disable-pip-version-check -q install \
-	    -c test/constraints-oldest.txt -e . mcap-ros2-support pytest
+	    -c test/constraints-oldest.txt -e . mcap-ros2-support pytest pytest-xdist
 	@touch $@
 
 readme: install-test

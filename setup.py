@@ -50,6 +50,7 @@ setup(
             'mcap-ros2-support>=0.5',
             'mypy>=1.11',
             'pytest>=8',
+            'pytest-xdist>=3',
             'ruff>=0.6',
             'scipy-stubs',
             # The linters of ROS 2 Jazzy and what they check with; ament_copyright and
