@@ -27,6 +27,9 @@ from mapmerge_ros.nodes.cloud import POINT, make_cloud, robot_colours  # noqa: E
 from mapmerge_ros.nodes.frames import MISSING, TFMessage, placeable  # noqa: E402
 from mapmerge_ros.nodes.markers import axes  # noqa: E402
 
+WARM = 1e-7
+"""What a merge that went on from another may leave; std of these frames is 1e-2 and more."""
+
 
 def test_a_late_viewer_gets_points_markers_and_frames(
     children: Children, observer: Observer, drones: tuple[SubMap, ...]
@@ -93,11 +96,12 @@ def assert_frames(transforms: Any, fusion: Any) -> None:
         assert sent.header.frame_id == 'global'
         at, turn = sent.transform.translation, sent.transform.rotation
         S_global_map = items[sent.child_frame_id].S_global_map
-        np.testing.assert_allclose([at.x, at.y, at.z], S_global_map.translation, atol=1e-9)
+        # On a busy machine the node has merged before all were there: what a warm merge leaves.
+        np.testing.assert_allclose([at.x, at.y, at.z], S_global_map.translation, atol=WARM)
         x, y, z, w = turn.x, turn.y, turn.z, turn.w
         # First column of the rotation.
         column = [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)]
-        np.testing.assert_allclose(column, S_global_map.rotation[:, 0], atol=1e-9)
+        np.testing.assert_allclose(column, S_global_map.rotation[:, 0], atol=WARM)
 
 
 def test_what_moved_is_told_and_drawn(children: Children, observer: Observer) -> None:

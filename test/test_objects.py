@@ -10,11 +10,19 @@ import scipy.stats
 from gaussian_merges import draw, merged, noise, scene
 from scipy.spatial.transform import Rotation
 
+from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion.confirm import members_of
 from mapmerge_ros.fusion.contrasts import contrasts
 from mapmerge_ros.fusion.honest import examine
 from mapmerge_ros.fusion.local import local_tests, sensitivity
 from mapmerge_ros.fusion.motion import rigid_motion
-from mapmerge_ros.fusion.objects import MIN_MEMBERS, common_motion, released
+from mapmerge_ros.fusion.objects import (
+    LEAST_STATISTIC,
+    MIN_MEMBERS,
+    common_motion,
+    find_objects,
+    released,
+)
 from mapmerge_ros.fusion.patches import RIGID, TRANSLATION, Patch
 
 
@@ -117,6 +125,36 @@ def test_all_neighbourhoods_at_once_are_those_one_by_one():
             assert rows[at, 0] == at
             alone = patch.with_one_free(np.sort(rows[at]), motion).min()
             assert each[at] == pytest.approx(alone, rel=1e-6)
+
+
+def test_one_gross_error_is_no_object_of_those_that_it_pulls_along():
+    rng = np.random.default_rng(8)
+    points, members, matrices = scene(rng, landmarks=120, views=(2, 2))
+    errors = noise(rng, points, members, matrices)
+    unit = contrasts(merged(points, members, matrices, errors), 600).unit
+    wrong = int(rng.choice(len(members)))
+    errors[wrong] += 200.0 * unit * np.array([0.6, 0.8, 0.0])
+    merge = merged(points, members, matrices, errors)
+    state = sensitivity(merge)
+    assert not find_objects(state, merge.points, LEAST_STATISTIC)
+    assert np.max(state.tests().statistic) > 1000.0
+
+
+@pytest.mark.parametrize(('seed', 'size'), [(1, 300.0), (4, 30.0), (8, 300.0)])
+def test_what_nothing_else_would_hold_is_no_object(seed, size):
+    """A map of which all is wrong: the search ends where the rest would hang in the air."""
+    rng = np.random.default_rng(seed)
+    points, members, matrices = scene(rng, landmarks=24, views=(2, 2))
+    errors = noise(rng, points, members, matrices)
+    unit = contrasts(merged(points, members, matrices, errors), 600).unit
+    all_of_one = members.maps == 1
+    errors[all_of_one] += size * unit * rng.normal(size=(all_of_one.sum(), 3))
+    merge = merged(points, members, matrices, errors)
+    state = sensitivity(merge)
+    found = find_objects(state, merge.points, LEAST_STATISTIC)
+    state.unlock(members_of(found))  # determined
+    with pytest.raises(DegenerateGeometry):
+        state.unlock(np.flatnonzero(all_of_one))
 
 
 @pytest.mark.parametrize('motion', [TRANSLATION, RIGID])

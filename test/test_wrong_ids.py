@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot that numbers its landmarks anew: told at once, and nobody else pays for it."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +13,13 @@ from mapmerge_ros.fusion import FusionConfig, State, fuse
 from mapmerge_ros.fusion.associate import associate_by_id
 from mapmerge_ros.fusion.links import find_links
 from mapmerge_ros.fusion.pair_frames import align_pairs
+from mapmerge_ros.fusion.wrong_ids import Unlike, why_unlike
 from mapmerge_ros.geometry import Gauge, Segments, Similarity
 from mapmerge_ros.io import read_submaps
+from mapmerge_ros.simulation import FleetConfig, simulate_fleet
+from mapmerge_ros.simulation.drones import Sensing
+from mapmerge_ros.submap import LandmarkInformation
+from mapmerge_ros.submap.triangle import pack
 
 RNG = np.random.default_rng
 
@@ -61,7 +68,7 @@ def test_a_robot_that_numbers_anew_stays_apart_and_hurts_nobody(submaps, how):
         np.testing.assert_allclose(found[name], point, atol=1e-6)
 
 
-@pytest.mark.parametrize('share', [0.2, 0.3])
+@pytest.mark.parametrize('share', [0.2, 0.4, 0.5])
 def test_of_a_map_with_some_wrong_ids_the_right_ones_count(submaps, share):
     wrong = renumbered(submaps[1], share)
     fusion = fuse((submaps[0], wrong, *submaps[2:]))
@@ -73,6 +80,84 @@ def test_of_a_map_with_some_wrong_ids_the_right_ones_count(submaps, share):
         points = submaps[0].points
         off = np.linalg.norm(S_global_map.apply(points) - found[name].apply(points), axis=1)
         assert np.median(off) < 0.1
+
+
+def test_ids_exchanged_nearby_are_told_where_others_are_wrong(submaps):
+    """Among many wrong ids those of points that lie close together are wrong as well."""
+    first, second = submaps[:2]
+    _, rows, _ = np.intersect1d(first.compressed_ids, second.compressed_ids, return_indices=True)
+    points, exchanged = first.points.copy(), rows[: len(rows) // 4]
+    points[exchanged] = np.roll(points[exchanged], 1, axis=0)
+    extent = np.median(np.linalg.norm(points[rows] - np.median(points[rows], axis=0), axis=1))
+    weights = LandmarkInformation.of(first.triangle()).weights[rows]
+    near = rows[len(exchanged) + np.argmax(weights[len(exchanged) :])]
+    points[near] += [0.1 * extent, 0.0, 0.0]  # half of what makes a contradiction by itself
+
+    def contradicting(of_first):
+        both = (replace(first, points=of_first), second)
+        association = associate_by_id(both)
+        (link,) = find_links(both, association, FusionConfig())
+        own = np.isin(association.tracks[0], link.contradicting)
+        return set(first.compressed_ids[own].tolist())
+
+    told = contradicting(points)
+    assert first.compressed_ids[near] in told
+    assert set(first.compressed_ids[exchanged].tolist()) <= told
+    assert len(told) < len(rows) // 4 + 3
+    alone = first.points.copy()
+    alone[near] = points[near]
+    assert not contradicting(alone)
+
+
+@pytest.mark.parametrize('gauge', [Gauge.SIMILARITY, Gauge.RIGID])
+def test_a_pair_of_which_not_even_a_quarter_agrees_is_unlike(gauge):
+    rng, own, config = RNG(3), Segments.of_lengths([40]), FusionConfig()
+    here, far = rng.normal(size=(40, 3)), 0.3 * rng.normal(size=(40, 3))
+    there = here + 0.001 * rng.normal(size=(40, 3))
+
+    def found(points, precision=1e4):
+        gauges, known = np.array([int(gauge)]), np.full(40, precision)
+        return why_unlike(here, points, points, known, own, gauges, config)
+
+    assert not found(there)
+    assert not found(there + far * (np.arange(40) % 2)[:, None])
+    assert found(there + far) == {0: Unlike.NUMBERED_ANEW}
+    # The same distance means nothing where landmarks are not known better than that.
+    assert not found(there + far, precision=1.0)
+
+
+def mirrored(submap, mirror):
+    """Left-handed axes, R and all."""
+    columns = np.tile(mirror, submap.compressed_count)
+    return replace(
+        submap, points=submap.points * mirror, packed_r=pack(submap.triangle() * columns)
+    )
+
+
+@pytest.mark.parametrize(('gauge', 'axis'), [(7, 0), (6, 2), (4, 2), (4, 0)])
+def test_a_mirrored_map_is_called_so(gauge, axis):
+    """From above nearly flat: its pairs hardly show it, the merge does; unless up is down."""
+    fleet = simulate_fleet(FleetConfig(drones=4, sensing=Sensing(gauge=Gauge(gauge))), seed=4)
+    submaps = fleet.submaps(catalogue=False)
+    wrong = mirrored(submaps[1], np.where(np.arange(3) == axis, -1.0, 1.0))
+    fusion = fuse([submaps[0], wrong, *submaps[2:]])
+    (apart,) = (item for item in fusion.alignments if item.reason)
+    assert apart.submap.map_id == wrong.map_id
+    assert apart.state in (State.DETACHED, State.REFUSED)
+    assert 'mirror image' in apart.reason
+    assert 'left-handed' in apart.reason
+    assert len(fusion.contradictions) < 3
+    assert len(fusion.in_state(State.MERGED)) == 3
+
+
+def test_pairs_that_are_not_flat_show_a_mirrored_map():
+    rng, mirror = RNG(6), np.array([1.0, 1.0, -1.0])
+    here = rng.normal(size=(30, 3))
+    there = Similarity.exp(rng.normal(size=7)).apply(here * mirror)
+    own, gauges, known = Segments.of_lengths([30]), np.array([7]), np.full(30, 1e4)
+    moved = align_pairs(here, there, own, gauges, known).S_target_source.apply(own, there)
+    unlike = why_unlike(here, there, moved, known, own, gauges, FusionConfig())
+    assert unlike == {0: Unlike.MIRRORED}
 
 
 def pair(rng, count, wrong, gauge):
@@ -132,3 +217,22 @@ def test_pairs_do_not_depend_on_each_other():
         np.testing.assert_allclose(
             both.S_target_source[k].log(), alone.S_target_source[0].log(), atol=1e-9
         )
+
+
+def test_the_benchmark_tells_who_is_merged_and_who_is_not(submaps):
+    sys.path.insert(0, str(Path(__file__).parents[1] / 'benchmarks'))
+    import wrong_ids
+
+    right = list(wrong_ids.cases(0.0, [submaps[:3]]))
+    assert [(case.merged, case.misplaced, case.innocent) for case in right] == [(True, 0, 0)] * 3
+    wrong = list(wrong_ids.cases(1.0, [submaps[:3]]))
+    assert not any(case.merged or case.misplaced for case in wrong)
+    away, fusion = submaps[1], fuse(submaps)
+    moved = tuple(
+        replace(item, S_global_map=Similarity.exp(np.ones(7)) @ item.S_global_map)
+        if item.submap.map_id == away.map_id
+        else item
+        for item in fusion.alignments
+    )
+    assert wrong_ids.misplaced(replace(fusion, alignments=moved), fusion) == [away.map_id]
+    assert '| 100% | 3 | 0 | 0 | 3 |' in wrong_ids.row(1.0, wrong)

@@ -8,16 +8,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mapmerge_ros.arrays import Floats
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.outgoing import Merged
 from mapmerge_ros.fusion.quarantine import Trial
 from mapmerge_ros.fusion.refusal import Quarantine, Refusal
-from mapmerge_ros.geometry import align_robustly, scene_radius
+from mapmerge_ros.geometry import Gauge, align_robustly, scene_radius
 from mapmerge_ros.submap import SubMap
 
 MOST_NAMED = 3
 """Sub-maps that are named: those that it shares most with."""
+
+MIRROR = np.array([1.0, 1.0, -1.0])
+
+MUCH_NEARER = 0.3
+"""Share of its distance from which a mirrored sub-map is said to fit; one that is, has 0.12."""
 
 
 def refusals(trial: Trial, submaps: Sequence[SubMap], association: Association) -> list[Refusal]:
@@ -29,21 +35,31 @@ def _refusal(k: int, trial: Trial, submaps: Sequence[SubMap], association: Assoc
     group, merged = trial.parts[0]
     shared = {j: len(_common(association, k, j)) for j in group}
     most = [j for j in sorted(group, key=lambda j: -shared[j]) if shared[j]][:MOST_NAMED]
-    distance, ratio = _distances(k, trial, submaps, association)
+    points_global, points_map = _where_others_have_them(k, trial, submaps, association)
+    gauge = max(submaps[k].gauge, merged.component.gauge)
+    distance = _apart(points_global, points_map, gauge)
+    ratio = distance / scene_radius(merged.component.landmarks.points_global)
     evidence = Quarantine(
         tuple(submaps[j].map_id for j in most), trial.price_ratio, trial.p_value, distance, ratio
     )
-    return Refusal(submaps[k].map_id, _in_words(evidence, trial, merged), evidence)
+    reason = _in_words(evidence, trial, merged)
+    as_it_is, mirrored = (
+        _apart(points_global, points, Gauge.SIMILARITY)
+        for points in (points_map, points_map * MIRROR)
+    )
+    if mirrored < MUCH_NEARER * as_it_is:
+        reason += '. Its mirror image would fit: are its axes left-handed?'
+    return Refusal(submaps[k].map_id, reason, evidence)
 
 
 def _common(association: Association, k: int, j: int) -> np.ndarray:
     return np.intersect1d(association.tracks[k], association.tracks[j])
 
 
-def _distances(
+def _where_others_have_them(
     k: int, trial: Trial, submaps: Sequence[SubMap], association: Association
-) -> tuple[float, float]:
-    """Median distance from where the others have the landmarks, and that over the scene."""
+) -> tuple[Floats, Floats]:
+    """Landmarks (n, 3) that a sub-map has in common with the merged ones, global and its own."""
     group, merged = trial.parts[0]
     points, tracks = [], []
     for slot, j in enumerate(group):
@@ -56,18 +72,20 @@ def _distances(
     points_global = np.zeros((len(every), 3))
     np.add.at(points_global, owners, np.concatenate(points))
     points_global /= np.bincount(owners)[:, None]
-    rows = np.searchsorted(association.tracks[k], every, sorter=np.argsort(association.tracks[k]))
-    points_map = submaps[k].compressed_points[np.argsort(association.tracks[k])[rows]]
-    gauge = max(submaps[k].gauge, merged.component.gauge)
+    order = np.argsort(association.tracks[k])
+    rows = order[np.searchsorted(association.tracks[k], every, sorter=order)]
+    return points_global, submaps[k].compressed_points[rows]
+
+
+def _apart(points_global: Floats, points_map: Floats, gauge: Gauge) -> float:
+    """Median distance [global map units] of landmarks (n, 3) in one frame."""
     try:
         S_global_map = align_robustly(
-            points_global, points_map, gauge=gauge, weights=np.ones(len(every))
+            points_global, points_map, gauge=gauge, weights=np.ones(len(points_map))
         ).S_target_source
     except DegenerateGeometry:
-        return float('nan'), float('nan')
-    distances = np.linalg.norm(points_global - S_global_map.apply(points_map), axis=1)
-    median = float(np.median(distances))
-    return median, median / scene_radius(merged.component.landmarks.points_global)
+        return float('nan')
+    return float(np.median(np.linalg.norm(points_global - S_global_map.apply(points_map), axis=1)))
 
 
 def _in_words(evidence: Quarantine, trial: Trial, merged: Merged) -> str:

@@ -14,24 +14,16 @@ from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.members import pairs_of_members
 from mapmerge_ros.fusion.overlap import (
-    MIN_TO_JUDGE,
     Link,
     Turn,
     harmonic,
     link_pair,
 )
-from mapmerge_ros.fusion.pair_frames import align_pairs, extents
+from mapmerge_ros.fusion.pair_frames import align_pairs
 from mapmerge_ros.fusion.warm import Condition, Warm
-from mapmerge_ros.geometry import Gauge, Segments, align_segments
+from mapmerge_ros.fusion.wrong_ids import Unlike, rows_apart, why_unlike
+from mapmerge_ros.geometry import Segments, align_segments
 from mapmerge_ros.submap import SubMap
-
-WRONG_IDS = 0.5
-"""
-Median distance of a pair's landmarks, over their extent, from which equal ids say nothing.
-
-Landmarks whose ids are shuffled come to 0.8 to 1.2: all of one map is put into the middle of the
-other. True pairs stay below 0.09 (EuRoC), and this is significant beside their own noise, too.
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,24 +137,19 @@ def _links(
         precision = harmonic(stacked[pairs.rows_a], stacked[pairs.rows_b] / ratios**2)
     robust = align_pairs(points_a, points_b, pairs.segments, gauges, precision)
     moved_b = robust.S_target_source.apply(pairs.segments, points_b)
-    apart = _contradicting(points_a, moved_b, precision, pairs.segments, config)
+    apart = rows_apart(points_a, moved_b, precision, pairs.segments, config)
     determined = plain.determined & robust.determined
-    # Where the frame is not determined, nobody knows how far apart they are.
-    unlike = determined & _unlike(points_a, moved_b, precision, pairs.segments, config)
-    for k in np.flatnonzero(unlike & (gauges < Gauge.SIMILARITY)).tolist():
-        rows = pairs.segments.rows(k)
-        unlike[k] = _unlike_in_any_frame(points_a[rows], points_b[rows], precision[rows], config)
+    unlike = why_unlike(points_a, points_b, moved_b, precision, pairs.segments, gauges, config)
     turns = _worst_turns(points_a, moved_b, pairs.segments)
     links = []
     for k, rows in enumerate(map(pairs.segments.rows, range(len(pairs.segments)))):
         a, b, shared = int(pairs.a[k]), int(pairs.b[k]), int(pairs.segments.lengths[k])
-        if unlike[k]:
-            reason = (
-                f'{shared} landmarks have ids in common, but are not the same points: one of the '
-                'two numbers them anew, and needs an id_space of its own'
-            )
-            links.append(Link(a, b, shared, None, reason, contradicting=pairs.tracks[rows]))
-        elif determined[k]:
+        if not determined[k]:
+            continue  # nobody knows how far apart they are
+        if why := unlike.get(k):
+            anew = pairs.tracks[rows] if why is Unlike.NUMBERED_ANEW else np.zeros(0, np.int64)
+            links.append(Link(a, b, shared, None, f'{shared} {why.value}', contradicting=anew))
+        else:
             contradicting = pairs.tracks[rows][apart[rows]]
             S_a_b = robust.S_target_source[k]
             links.append(Link(a, b, shared, S_a_b, turn=turns[k], contradicting=contradicting))
@@ -182,38 +169,3 @@ def _worst_turns(points_a: Floats, points_b: Floats, segments: Segments) -> list
         Turn(axis, mean, float(std))
         for axis, mean, std in zip(axes[:, :, 2], means, stds, strict=True)
     ]
-
-
-def _contradicting(
-    points_a: Floats, points_b: Floats, precision: Floats, segments: Segments, config: FusionConfig
-) -> Mask:
-    """Rows whose landmarks, in one frame, cannot be the same point as most of their pair are."""
-    owners = segments.owners
-    distances = np.linalg.norm(points_a - points_b, axis=1)
-    standardised = distances * np.sqrt(precision)
-    usual = segments.medians(standardised)
-    significant = standardised > config.contradiction_ratio * usual[owners]
-    far = distances > config.contradiction_extent * extents(points_a, segments)[owners]
-    return np.asarray(significant & far & (segments.lengths >= MIN_TO_JUDGE)[owners])
-
-
-def _unlike_in_any_frame(
-    points_a: Floats, points_b: Floats, precision: Floats, config: FusionConfig
-) -> bool:
-    """`_unlike` for one pair: frames that may not move say nothing about ids."""
-    own, free = Segments.of_lengths([len(points_a)]), np.array([int(Gauge.SIMILARITY)])
-    found = align_pairs(points_a, points_b, own, free, precision)
-    moved_b = found.S_target_source.apply(own, points_b)
-    unlike = found.determined & _unlike(points_a, moved_b, precision, own, config)
-    return bool(unlike[0])
-
-
-def _unlike(
-    points_a: Floats, points_b: Floats, precision: Floats, segments: Segments, config: FusionConfig
-) -> Mask:
-    """Pairs (n,) most of whose landmarks, in one frame, cannot be the same points."""
-    distances = np.linalg.norm(points_a - points_b, axis=1)
-    usual = segments.medians(distances * np.sqrt(precision))  # residual of a landmark, px
-    far = segments.medians(distances) > WRONG_IDS * extents(points_a, segments)
-    judged = segments.lengths >= MIN_TO_JUDGE
-    return np.asarray(far & judged & (usual > config.contradiction_ratio))

@@ -9,22 +9,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Ints, Mask
+from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.config import FusionConfig
+from mapmerge_ros.fusion.wrong_ids import rows_apart
 from mapmerge_ros.geometry import (
     FrameGraph,
     Gauge,
+    Segments,
     Similarity,
     align,
     align_robustly,
-    scene_radius,
 )
 from mapmerge_ros.submap import SubMap
-
-MIN_TO_JUDGE = 8
-"""Common landmarks below which the median distance says nothing about a single one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +114,8 @@ def link_pair(
     except (np.linalg.LinAlgError, ArithmeticError, InvalidValue):
         return Link(a, b, len(common), None, 'their positions cannot be computed with')
     moved_b = S_a_b.apply(points_b)
-    apart = _contradictions(points_a, moved_b, precision, config)
+    pair_alone = Segments.of_lengths([len(common)])
+    apart = rows_apart(points_a, moved_b, precision, pair_alone, config)
     turn = _worst_turn(points_a, moved_b)
     return Link(a, b, len(common), S_a_b, turn=turn, contradicting=common[apart])
 
@@ -127,20 +126,6 @@ def _worst_turn(points_a: Floats, points_b: Floats) -> Turn:
     across = np.sqrt((spreads[1] ** 2 + spreads[2] ** 2) / len(points_a))
     distance = np.median(np.linalg.norm(points_a - points_b, axis=1))
     return Turn(axes[0], points_a.mean(axis=0), float(distance / across))
-
-
-def _contradictions(
-    points_a: Floats, points_b: Floats, precision: Floats, config: FusionConfig
-) -> Mask:
-    """Which of the common landmarks (n, 3), in one frame, cannot be the same point."""
-    if len(points_a) < MIN_TO_JUDGE:
-        return np.zeros(len(points_a), bool)
-    distances = np.linalg.norm(points_a - points_b, axis=1)
-    standardised = distances * np.sqrt(precision)
-    significant = standardised > config.contradiction_ratio * np.median(standardised)
-    return np.asarray(
-        significant & (distances > config.contradiction_extent * scene_radius(points_a))
-    )
 
 
 def harmonic(weights_a: Floats, weights_b: Floats) -> Floats:

@@ -45,6 +45,16 @@ SAMPLES = 300
 LEAST_SAMPLED = 8
 """Landmarks from which a sample is worth anything: three of few agree by chance."""
 
+MOST_QUARTILES = 3.0
+"""
+Median of right distances over their lower quartile, at most.
+
+1.4 where they are Gaussian; of true pairs of five real sets 2.1 at most, in 95 % of EuRoC's 3.4.
+"""
+
+REFINEMENTS = 5
+"""Times that the landmarks that agree with a sample decide anew who does."""
+
 
 def align_pairs(
     points_a: Floats, points_b: Floats, segments: Segments, gauges: Ints, weights: Floats
@@ -78,6 +88,17 @@ def extents(points: Floats, segments: Segments) -> Floats:
     """Median distance (n,) of the points of each segment from their middle."""
     middles = np.column_stack([segments.medians(axis) for axis in points.T])
     return segments.medians(np.linalg.norm(points - middles[segments.owners], axis=1))
+
+
+def usual(distances: Floats, segments: Segments) -> Floats:
+    """
+    Distance (n,) that is usual among the landmarks of each pair that agree.
+
+    The median, but where about half are matched wrongly: there it is one of theirs.
+    """
+    agreeing = MOST_QUARTILES * segments.lower_quartiles(distances)
+    size: Floats = np.minimum(segments.medians(distances), agreeing)
+    return size
 
 
 def _settled(
@@ -132,6 +153,9 @@ def _sampled(points_a: Floats, points_b: Floats, gauge: Ints) -> Alignments:
     medians[~found.determined] = np.inf
     best = int(np.argmin(medians))
     distances = np.linalg.norm(moved[best] - points_a, axis=1)
-    # The better half decides; what is far off would draw the frame back.
-    agreeing = (distances <= medians[best]).astype(np.float64)
-    return align_segments(points_a, points_b, own, gauge, agreeing)
+    for _ in range(REFINEMENTS):
+        # The better half at most decides; what is far off would draw the frame back.
+        agreeing = distances <= usual(distances, own)
+        refined = align_segments(points_a, points_b, own, gauge, agreeing.astype(np.float64))
+        distances = _distances(points_a, points_b, own, refined)
+    return refined

@@ -69,6 +69,11 @@ class Segments:
         medians: Floats = 0.5 * (ordered[low] + ordered[high])
         return medians
 
+    def lower_quartiles(self, values: Floats) -> Floats:
+        """Value (n,) that a quarter of the values (rows,) of each segment do not exceed."""
+        ordered = values[np.lexsort((values, self.owners))]
+        return np.asarray(ordered[self.ends[:-1] + (self.lengths - 1) // 4])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Similarities:
