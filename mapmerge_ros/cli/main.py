@@ -22,6 +22,7 @@ COMMANDS = {
     'refine': 'rounds of merging and linearising again, with the models at hand',
     'info': 'what is inside a recording',
     'record': 'sub-maps, requests and results of running nodes to a recording',
+    'salvage': 'what can still be read of a damaged recording, as a whole one',
     'simulate': 'drones over a yard as a recording, with truth',
     'demo': 'the real nodes on real topics, and the result checked',
     'experiment': "the paper's experiments and ours, with figures",

@@ -151,7 +151,7 @@ def _check_kind(path: Path) -> None:
 
 def _damaged(path: Path, err: Exception) -> BagError:
     reason = ' '.join(str(err).split()) or type(err).__name__
-    remedy = ': `mcap recover` saves what can be read' if path.suffix == '.mcap' else ''
+    remedy = ': `mapmerge salvage` saves what can be read' if path.suffix == '.mcap' else ''
     return BagError(f'{path}: truncated or damaged: {reason[:200].rstrip(".")}{remedy}')
 
 
