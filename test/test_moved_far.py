@@ -8,10 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres: pip install pycolmap')
 
 from mapmerge_ros.fusion import Kind, fuse
+from mapmerge_ros.fusion.moved_far import MIN_MEMBERS, _Displaced, _Member, _moved_as_one
 from mapmerge_ros.geometry import align
 from mapmerge_ros.simulation import FleetConfig, simulate_fleet
 
@@ -42,6 +44,30 @@ def test_it_is_one_object_with_its_displacement(seed):
     np.testing.assert_allclose(lengths, 3.0, rtol=0.1)
     assert max(change.p_value for change in moved) < 1e-12
     assert fusion.verdict.accepted
+
+
+def displaced(before, after, std=0.01):
+    return [
+        _Displaced(_Member(0, k, k, there, 0.0), k, there - here, std**2, 1.0)
+        for k, (here, there) in enumerate(zip(before, after, strict=True))
+    ]
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_what_moves_as_one_is_rigid(seed):
+    """A body that went far and turned, among wrong ids that go anywhere in the scene."""
+    rng = np.random.default_rng(seed)
+    body = 0.6 * rng.normal(size=(8, 3))
+    turn = Rotation.from_rotvec(0.5 * rng.normal(size=3) / np.sqrt(3.0))
+    after = turn.apply(body) + [9.0, 4.0, 0.0] + 0.01 * rng.normal(size=body.shape)
+    wrong = 3.0 * rng.normal(size=(40, 3))
+    groups = _moved_as_one(
+        displaced(np.vstack([body, wrong]), np.vstack([after, np.roll(wrong, 7, axis=0)])), 2.0
+    )
+    large = [{x.track for x in group} for group in groups if len(group) >= MIN_MEMBERS]
+    assert large == [set(range(8))]
+    assert sum(map(len, groups)) == 48
+    assert _moved_as_one([], 2.0) == []
 
 
 def test_ids_given_twice_are_no_object():

@@ -74,6 +74,7 @@ def test_of_a_map_with_some_wrong_ids_the_right_ones_count(submaps, share):
     fusion = fuse((submaps[0], wrong, *submaps[2:]))
     assert len(fusion.in_state(State.MERGED)) == 4
     assert fusion.verdict.accepted
+    assert not any(change.object_id for change in fusion.changes)  # nothing moved
     found = {item.submap.map_id: item.S_global_map for item in fusion.alignments}
     true = {item.submap.map_id: item.S_global_map for item in fuse(submaps).alignments}
     for name, S_global_map in true.items():

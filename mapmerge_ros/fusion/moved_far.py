@@ -14,9 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse.csgraph
+from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import squareform
 
-from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.association.align_pair import variances
 from mapmerge_ros.distributions import chi2_tail
 from mapmerge_ros.fusion.associate import Association
@@ -27,13 +29,19 @@ from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.submap import SubMap
 
 MIN_MEMBERS = 3
-"""Neighbours that moved alike, from which it is an object: wrong ids are off in all directions."""
+"""Neighbours that moved as one, from which it is an object: wrong ids go in all directions."""
 
 REACH = 3.0
 """Distance of neighbours, over that of a landmark's third nearest in its map (median)."""
 
-ALIKE, ALIKE_STD = 0.5, 4.0
-"""Share of a displacement by which neighbours may differ (an object turns), and noise."""
+RIGID, NOISE_STDS = 0.1, 4.0
+"""Share of its own by which the distance of two landmarks may change (maps bend), and noise."""
+
+ALIKE = 0.5
+"""Share of a displacement by which neighbours may differ (an object turns)."""
+
+LEAST_SQUARE = 40.0
+"""χ²(3) from which a landmark is elsewhere: a track may be parted because of another sub-map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +71,11 @@ class _Displaced:
     """1: the displacement is that in time; -1: the sub-map has it where it was"""
 
     @property
+    def square(self) -> float:
+        """Displacement over its uncertainty, χ²(3) if there is none."""
+        return float(np.sum(self.displacement_global**2)) / self.variance
+
+    @property
     def shift_global(self) -> Floats:
         """Where it went (3,)."""
         return self.sense * self.displacement_global
@@ -86,11 +99,16 @@ def with_moved_far(
     Tell with a merged group what is elsewhere by more than its merge could believe.
 
     `joined` and `parted` are the associations of all `submaps` before and after contradicting ids
-    were parted. Neighbours that moved alike, whichever sub-maps have them, are one object, the
-    same as a known one that did. Elsewhere is who is not where most sub-maps have a landmark, or
-    where the newest has it if they are as many.
+    were parted. Neighbours that moved as one, whichever sub-maps have them, are one object, the
+    same as a known one that moved alike. Elsewhere is who is not where most
+    sub-maps have a landmark, or where the newest has it if they are as many.
     """
-    contradicted = [link.contradicting for link in links if {link.a, link.b} <= set(group)]
+    # A pair that is no link contradicts as a whole, and says nothing about single landmarks.
+    contradicted = [
+        link.contradicting
+        for link in links
+        if link.S_a_b is not None and {link.a, link.b} <= set(group)
+    ]
     if not any(len(tracks) for tracks in contradicted):
         return merged
     changes = _changes(
@@ -129,13 +147,14 @@ def _changes(
         each
         for track, members in sorted(by_track.items())
         for each in _displaced(track, members, submaps)
+        if each.square >= LEAST_SQUARE
     ]
     reach = max(
         _reach(S_global_maps[slot].apply(submaps[slot].compressed_points))
         for slot in {each.member.slot for each in displaced} | {0}
     )
     changes, number = list[Change](), max((each.object_id for each in known), default=0)
-    for group in _alike(displaced, reach):
+    for group in _moved_as_one(displaced, reach):
         told = 0
         if len({each.track for each in group}) >= MIN_MEMBERS:
             told = _same_object(group, known, reach) or number + 1
@@ -178,23 +197,45 @@ def _reach(points_global: Floats) -> float:
     return REACH * float(np.median(distances.reshape(len(points_global), -1)[:, -1]))
 
 
-def _alike(own: Sequence[_Displaced], reach: float) -> list[list[_Displaced]]:
-    """Groups of neighbours with nearly one displacement."""
+def _moved_as_one(own: Sequence[_Displaced], reach: float) -> list[list[_Displaced]]:
+    """
+    Groups of neighbours that went nearly the same way and stayed as far from each other.
+
+    Each with all others of its group: along a chain of neighbours wrong ids find each other, too.
+    """
     if not own:
         return []
-    places = np.array([x.start_global for x in own])
+    before = np.array([x.start_global for x in own])
     shifts = np.array([x.shift_global for x in own])
     variance = np.array([x.variance for x in own])
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    differ = np.linalg.norm(shifts[:, None] - shifts, axis=2)
+    apart, apart_after, differ = (
+        np.linalg.norm(places[:, None] - places, axis=2)
+        for places in (before, before + shifts, shifts)
+    )
+    noise = NOISE_STDS * np.sqrt(variance[:, None] + variance)
     lengths = np.linalg.norm(shifts, axis=1)
-    allowed = ALIKE * np.minimum(lengths[:, None], lengths)
-    allowed += ALIKE_STD * np.sqrt(3.0 * (variance[:, None] + variance))
-    related = (apart <= reach) & (differ <= allowed)
-    labels = scipy.sparse.csgraph.connected_components(related, directed=False)[1]
+    allowed = ALIKE * np.minimum(lengths[:, None], lengths) + np.sqrt(3.0) * noise
+    unlike = np.maximum(np.abs(apart_after - apart) / (RIGID * apart + noise), differ / allowed)
+    chains = _chained((unlike <= 1.0) & (apart <= reach))
     return [
-        [own[k] for k in np.flatnonzero(labels == label).tolist()] for label in np.unique(labels)
+        [own[chain[k]] for k in part]
+        for chain in chains
+        for part in _all_with_all(unlike[np.ix_(chain, chain)])
     ]
+
+
+def _chained(related: Mask) -> list[Ints]:
+    """Parts of a graph (n, n)."""
+    labels = scipy.sparse.csgraph.connected_components(related, directed=False)[1]
+    return [np.flatnonzero(labels == label) for label in np.unique(labels)]
+
+
+def _all_with_all(unlike: Floats) -> list[Ints]:
+    """Groups of which no two are unlike (n, n) by more than one, the most alike first."""
+    if len(unlike) == 1:
+        return [np.zeros(1, np.int64)]
+    labels = fcluster(linkage(squareform(unlike, checks=False), 'complete'), 1.0, 'distance')
+    return [np.flatnonzero(labels == label) for label in np.unique(labels)]
 
 
 def _same_object(group: Sequence[_Displaced], known: Sequence[Change], reach: float) -> int:
@@ -217,7 +258,7 @@ def _same_object(group: Sequence[_Displaced], known: Sequence[Change], reach: fl
 def _told(
     group: Sequence[_Displaced], submaps: Sequence[SubMap], names: Names, object_id: int
 ) -> list[Change]:
-    squares = [float(np.sum(x.displacement_global**2)) / x.variance for x in group]
+    squares = [x.square for x in group]
     alone = np.atleast_1d(chi2_tail(np.array(squares), 3))
     together = float(chi2_tail(sum(squares), 3 * len(squares)))
     return [
