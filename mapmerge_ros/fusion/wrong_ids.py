@@ -107,29 +107,29 @@ def why_unlike(
         rows = segments.rows(k)
         one = Segments.of_lengths([rows.stop - rows.start])
         pair = points_a[rows], points_b[rows], precision[rows], one
+        # Frames that may not move say nothing about ids, nor about axes.
+        nearest = moved_b[rows] if gauges[k] == Gauge.SIMILARITY else _in_any_frame(*pair)
+        if nearest is None:
+            continue
+        (residual_px,) = _residuals_px(pair[0], nearest, *pair[2:])
+        if residual_px <= config.contradiction_ratio:
+            continue
         mirrored = _in_any_frame(pair[0], pair[1] * MIRROR, *pair[2:])
         if mirrored is not None and (
-            _residuals_px(pair[0], mirrored, *pair[2:])[0] < MUCH_NEARER * residuals_px[k]
+            _residuals_px(pair[0], mirrored, *pair[2:])[0] < MUCH_NEARER * residual_px
         ):
             found[k] = Unlike.MIRRORED
-            continue
-        # Frames that may not move say nothing about ids.
-        nearest = moved_b[rows] if gauges[k] == Gauge.SIMILARITY else _in_any_frame(*pair)
-        if nearest is not None and _are_far(pair[0], nearest, *pair[2:], config):
+        elif _are_far(pair[0], nearest, one):
             found[k] = Unlike.NUMBERED_ANEW
     return found
 
 
-def _are_far(
-    points_a: Floats, points_b: Floats, precision: Floats, one: Segments, config: FusionConfig
-) -> bool:
-    """Whether most landmarks of a pair, in one frame, cannot be the same points."""
+def _are_far(points_a: Floats, points_b: Floats, one: Segments) -> bool:
+    """Whether most landmarks of a pair, in one frame, are far from each other."""
     distances = np.linalg.norm(points_a - points_b, axis=1)
     (size,) = extents(points_a, one)
     far = np.median(distances) > UNLIKE * size
-    far |= one.lower_quartiles(distances)[0] > UNLIKE_QUARTER * size
-    (residual_px,) = _residuals_px(points_a, points_b, precision, one)
-    return bool(far and residual_px > config.contradiction_ratio)
+    return bool(far or one.lower_quartiles(distances)[0] > UNLIKE_QUARTER * size)
 
 
 def _in_any_frame(
