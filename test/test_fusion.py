@@ -68,6 +68,20 @@ def test_three_overlapping_maps_become_one_that_is_believed():
     ]
 
 
+@pytest.mark.parametrize('most', [5, 500])
+@pytest.mark.parametrize('id_space', ['site', ''])
+def test_landmarks_that_go_on_as_catalogue_are_where_they_were_merged(most, id_space):
+    """Not in the mean of where each sub-map by itself has them, which is as good as nothing."""
+    maps = [A, B, C] if id_space else [replace(A, id_space=''), B, C]
+    fusion = fuse(maps, FusionConfig(max_landmarks=most))
+    landmarks, submap = fusion.components[0].landmarks, fusion.global_map
+    assert submap.compressed_count == min(most, len(landmarks.ids))
+    order = np.argsort(submap.landmark_ids)
+    rows = order[np.searchsorted(submap.landmark_ids[order], landmarks.ids)]
+    np.testing.assert_array_equal(submap.landmark_ids[rows], landmarks.ids)
+    np.testing.assert_allclose(submap.points[rows], landmarks.points_global, atol=1e-9)
+
+
 def test_a_newer_revision_replaces_and_an_older_one_changes_nothing():
     engine = FusionEngine()
     assert engine.add(A).accepted

@@ -65,6 +65,9 @@ def compress_component(
     maps_global = solution.state.S_map_globals
     S_global_maps = tuple(maps_global[k].inverse() for k in range(len(submaps)))
     catalogue = build_catalogue(submaps, S_global_maps, association, names)
+    # What the merge knows is not left to the mean of where the sub-maps by themselves have it.
+    named = ~names.nameless
+    catalogue = catalogue.solved(ids[named], solution.state.points[named])
     limit, has_catalogue = _room(submaps, catalogue, names.id_space, config)
     keep = most_useful(np.where(names.nameless, 0, association.views), ids, limit)
     keep &= ~names.nameless

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,7 +29,7 @@ class Catalogue:
     ids: Ids
     """(n,) ascending"""
     points_global: Floats
-    """(n, 3) mean over the sub-maps that have the landmark"""
+    """(n, 3) as merged, else the mean over the sub-maps that have the landmark"""
     covariances: Floats | None
     """(n, 6) triangulation covariance, members combined; None where one does not know"""
     descriptors: Descriptors
@@ -38,6 +38,12 @@ class Catalogue:
     def rows(self, ids: Ids) -> Ints:
         """Rows of ids that are in the catalogue."""
         return np.searchsorted(self.ids, ids)
+
+    def solved(self, ids: Ids, points_global: Floats) -> Catalogue:
+        """Return the same with some of the landmarks (m,) where the merge has them (m, 3)."""
+        points = self.points_global.copy()
+        points[self.rows(ids)] = points_global
+        return replace(self, points_global=points)
 
 
 def build_catalogue(
