@@ -35,3 +35,10 @@ def test_an_offset_beyond_all_of_the_map_is_refused() -> None:
     submap = small_submap()
     with pytest.raises(InvalidValue, match='c: its norm is 1e\\+09 px'):
         replace(submap, c=np.full(len(submap.c), 1e9 / np.sqrt(len(submap.c))))
+
+
+def test_more_residuals_than_anybody_has_are_refused() -> None:
+    """-1 in an unsigned field: the sum of the fleet would not fit, and no merge go out."""
+    with pytest.raises(InvalidValue, match=r'residual_count: \d+ is above 2\^48'):
+        replace(small_submap(), residual_count=2**64 - 1)
+    assert replace(small_submap(), residual_count=2**40).residual_count == 2**40

@@ -25,6 +25,10 @@ ROUNDING = 1e-4
 """Relative error of a covariance that was computed in float32."""
 
 
+MOST_RESIDUALS = 2**48
+"""So many no bundle has; -1 in an unsigned field is more, and the sum of a fleet has to fit."""
+
+
 @dataclass(frozen=True, slots=True, order=True)
 class Source:
     """One leaf inside a map: the revision of a robot's own sub-map."""
@@ -137,6 +141,8 @@ class SubMap:
             raise InvalidValue('residual_count: zero, but landmarks are compressed')
         if count and self.dof <= 0:
             raise InvalidValue('dof: zero, but landmarks are compressed')
+        if self.residual_count > MOST_RESIDUALS:
+            raise InvalidValue(f'residual_count: {self.residual_count} is above 2^48')
         if self.dof > self.residual_count:
             raise InvalidValue(f'dof: {self.dof} parameters for {self.residual_count} residuals')
         if count and self.dof == self.residual_count and self.sigma == 0.0:
