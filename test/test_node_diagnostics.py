@@ -15,9 +15,12 @@ from ros_processes import spin_until
 from test_node_fleets import S, submap_of
 
 from mapmerge_ros.fusion import Receipt
-from mapmerge_ros.io import encode_submap
+from mapmerge_ros.io import InvalidMessage, decode_submap, encode_submap
+from mapmerge_ros.io.codec import deserialise, serialise
+from mapmerge_ros.io.sender import Sender, sender_of_submap
+from mapmerge_ros.io.typestore import SUBMAP
 from mapmerge_ros.nodes.diagnostics import LONG_MERGE_S, REFUSAL_WARNS_NS, Health
-from mapmerge_ros.nodes.ledger import Ledger
+from mapmerge_ros.nodes.ledger import MAX_SENDERS, Ledger
 from mapmerge_ros.submap import SubMap
 
 DOCS = Path(__file__).parents[1] / 'docs' / 'node.md'
@@ -137,6 +140,76 @@ def test_who_only_ever_sends_nonsense_is_told_by_topic() -> None:
     assert (found.level, 'r: nonsense' in found.message) == (WARN, True)
     ledger.see(frozenset(), 100 * S)
     assert len(health(ledger).message(None).status) == 1, 'nobody publishes there any more'
+
+
+def fleet_on_one_topic() -> Ledger:
+    ledger = Ledger()
+    for k in range(3):
+        ledger.hear(submap_of(0, k, 1, 0), '/submaps', 1000, 10 * S, Receipt(True))
+    return ledger
+
+
+def warned(ledger: Ledger) -> set[str]:
+    _, *entries = health(ledger).message(None).status
+    return {item.name.removeprefix('/node: ') for item in entries if item.level != OK}
+
+
+def test_on_a_shared_topic_only_who_is_named_is_to_blame() -> None:
+    ledger = fleet_on_one_topic()
+    ledger.refuse('/submaps', 'r: nonsense', 11 * S, Sender('d1/0', 'd1'))
+    assert warned(ledger) == {'robot d1'}
+    ledger.hear(submap_of(0, 2, 1, 0), '/submaps', 1000, 12 * S, Receipt(False, 'not newer'))
+    assert warned(ledger) == {'robot d1'}, 'no other can make up for it'
+    ledger.hear(submap_of(0, 1, 1, 0), '/submaps', 1000, 13 * S, Receipt(False, 'not newer'))
+    assert warned(ledger) == set()
+    ledger.refuse('/submaps', 'robot_id: nonsense', 14 * S, Sender('d2/0'))
+    assert warned(ledger) == {'robot d2'}, 'its map says whose it is'
+
+
+def test_on_a_shared_topic_nobody_is_to_blame_where_nobody_is_named() -> None:
+    ledger = fleet_on_one_topic()
+    ledger.refuse('/submaps', 'no message', 11 * S, Sender())
+    assert warned(ledger) == {'topic /submaps'}
+    ledger.hear(submap_of(0, 2, 1, 0), '/submaps', 1000, 12 * S, Receipt(True))
+    assert warned(ledger) == set()
+    for name in ('x', 'y'):
+        ledger.refuse('/submaps', f'{name}: nonsense', 13 * S, Sender(f'{name}/0', name))
+    found = entry(health(ledger), '/node: topic /submaps')
+    assert 'x: nonsense; y: nonsense' in found.message
+    assert warned(ledger) == {'topic /submaps'}
+    for k in range(2 * MAX_SENDERS):
+        ledger.refuse('/submaps', 'nonsense', 14 * S, Sender('', f'made up {k}'))
+    assert len(ledger.troubles) <= MAX_SENDERS + 1
+    ledger.refuse('/submaps', 'nonsense', 15 * S, Sender('', 'd0'))
+    assert 'robot d0' in warned(ledger), 'who is known can be told apart from any number'
+
+
+def test_a_message_that_is_refused_says_who_it_is_from() -> None:
+    submap = submap_of(0, 1, 1, 0)
+    raw = encode_submap(submap)
+    assert sender_of_submap(raw) == ('d1/0', 'd1')
+    message = deserialise(raw, SUBMAP)
+    message.a = float('nan')
+    spoilt = serialise(message)
+    with pytest.raises(InvalidMessage):
+        decode_submap(spoilt)
+    assert sender_of_submap(spoilt) == ('d1/0', 'd1')
+    message.robot_id = 'd\n1'
+    assert sender_of_submap(serialise(message)) == ('', '')
+    assert sender_of_submap(raw[:40]) == ('', '')
+
+
+def test_the_node_blames_who_is_named(nodes: list[Any]) -> None:
+    node, observer = nodes
+    for k in range(2):
+        observer.send('/submaps', submap_of(0, k, 1, k * S))
+    spin_until(nodes, lambda: node.session.ledger.received == 2, 'two robots')
+    message = deserialise(encode_submap(submap_of(0, 1, 2, 9 * S)), SUBMAP)
+    message.a = float('nan')
+    observer.send('/submaps', serialise(message))
+    spin_until(nodes, lambda: node.session.ledger.refused == 1, 'nonsense of one of them')
+    assert node.session.ledger.trouble_of('d0') == ''
+    assert 'd1/0' in node.session.ledger.trouble_of('d1')
 
 
 def test_what_waits_for_the_next_merge_is_not_called_merged(nodes: list[Any]) -> None:

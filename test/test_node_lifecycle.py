@@ -14,6 +14,7 @@ from mapmerge_ros.submap import SubMap
 
 lifecycle = pytest.importorskip('lifecycle_msgs.srv', reason=REMEDY)
 interfaces = pytest.importorskip('rcl_interfaces.srv', reason=REMEDY)
+parameters = pytest.importorskip('rcl_interfaces.msg', reason=REMEDY)
 srv = pytest.importorskip('mapmerge_msgs.srv', reason=REMEDY)
 
 
@@ -93,6 +94,30 @@ def test_an_impossible_transition_is_answered_and_survived(
     assert change(observer, 'deactivate')
     assert children.ended() == ''
     assert 'is not possible while active' in children.log('fusion').read_text()
+
+
+def test_inactive_it_takes_parameters_and_tells_of_its_last_merge(
+    children: Children, observer: Observer, drones: tuple[SubMap, ...]
+) -> None:
+    children.start('fusion', FUSION, {'merge_period': 0.1})
+    for submap in drones[:2]:
+        observer.send('/submaps', submap)
+    spin_until([observer], lambda: observer.merged == 2, 'merged')
+    assert change(observer, 'deactivate')
+    answer = observer.merge_now()
+    assert answer.result == srv.MergeNow.Response.RESULT_NOT_ACTIVE
+    assert (answer.status.merged, answer.status.revision) == (2, observer.heard.status.revision)
+
+    double = parameters.ParameterValue(type=3, double_value=0.2)
+    integer = parameters.ParameterValue(type=2, integer_value=5)
+    for name, value in (('merge_period', double), ('max_ellipsoids', integer)):
+        parameter = parameters.Parameter(name=name, value=value)
+        found = observer.call(interfaces.SetParameters, 'set_parameters', parameters=[parameter])
+        assert found.results[0].successful
+    assert change(observer, 'activate')
+    observer.send('/submaps', drones[2])
+    spin_until([observer], lambda: observer.merged == 3, 'it goes on')
+    assert children.ended() == ''
 
 
 def maps(heard: Any) -> set[str]:

@@ -9,20 +9,22 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from ros_processes import FUSION, Observer, spin_for, spin_until
+from ros_processes import FUSION, RECORDER, Observer, spin_for, spin_until
 from rosbags.rosbag2 import Reader
 
 from mapmerge_ros.cli.main import main
 from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.fusion import FusionEngine
-from mapmerge_ros.io import encode_submap, write_submaps
+from mapmerge_ros.io import decode_submap, encode_submap, write_submaps
 from mapmerge_ros.io.bags import read_raw
 from mapmerge_ros.io.state import save_state
 from mapmerge_ros.io.typestore import SUBMAP
+from mapmerge_ros.nodes import record_node
 from mapmerge_ros.submap import SubMap
 
 
@@ -98,6 +100,54 @@ def test_record_ends_at_sigterm_with_a_whole_file(
         recorder.terminate()
         assert recorder.wait(20) == 0
     assert list(read_raw(file, SUBMAP)) == [encode_submap(drones[0])]
+
+
+def test_what_is_latched_is_written_once_whoever_leaves(
+    children: Children, observer: Observer, drones: tuple[SubMap, ...], tmp_path: Path
+) -> None:
+    file, topic = tmp_path / 'site.mcap', '/submaps'
+    observer.send(topic, drones[0])
+    recorder = children.start('recorder', RECORDER, {'output': str(file)})
+    spin_until([observer], lambda: observer.heard_by(topic) == 1, 'it listens')
+    spin_for([observer], 0.5)
+    for revision in (2, 3):
+        # The first of a volatile robot is gone before the recorder has found it.
+        observer.send(topic, drones[1], latched=False)
+        spin_until([observer], lambda: observer.heard_by(topic) == 2, 'both are heard')
+        observer.send(topic, replace(drones[1], revision=revision), latched=False)
+        spin_for([observer], 0.5)
+        observer.destroy_publisher(observer._senders.pop((topic, True, False)))
+        spin_for([observer], 1.0)
+    # Who says the same again has said it twice.
+    observer.send(topic, drones[0])
+    spin_for([observer], 0.5)
+    recorder.terminate()
+    assert recorder.wait(20) == 0
+    found = [decode_submap(raw) for raw in read_raw(file, SUBMAP)]
+    assert [(x.map_id, x.revision) for x in found if x.map_id == drones[0].map_id] == [
+        (drones[0].map_id, drones[0].revision)
+    ] * 2
+    assert [x.revision for x in found if x.revision > 1] == [2, 3]
+
+
+def test_what_is_known_is_no_news() -> None:
+    known = record_node.Known()
+    assert known.is_news(b'a', 1)
+    assert not known.is_news(b'a', 1)
+    assert known.is_news(b'a', 2), 'said again'
+    assert known.is_news(b'b', 1)
+    assert known.is_news(b'a', 0)
+    assert known.is_news(b'a', 0), 'a middleware that does not tell the time'
+
+
+def test_memory_of_what_was_written_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(record_node, 'REMEMBERED', 2)
+    known = record_node.Known()
+    for published_ns in (1, 2, 3):
+        assert known.is_news(b'a', published_ns)
+    assert not known.is_news(b'a', 3)
+    assert not known.is_news(b'a', 2)
+    assert known.is_news(b'a', 1)
 
 
 def test_record_says_what_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:

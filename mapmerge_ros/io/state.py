@@ -9,6 +9,7 @@ Any tool that reads recordings reads the sub-maps; the note is a metadata record
 from __future__ import annotations
 
 import json
+import operator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-from mapmerge_ros.arrays import Floats
+from mapmerge_ros.arrays import Floats, Ids
+from mapmerge_ros.errors import InvalidValue
 from mapmerge_ros.fusion import Snapshot
 from mapmerge_ros.fusion.requests import Denial
 from mapmerge_ros.fusion.solution import Anchor
@@ -32,6 +34,15 @@ NOTE = 'mapmerge_state'
 """Name of the metadata record."""
 
 TOPIC = '/submaps'
+
+LAST_REVISION = 2**32 - 2**28
+"""Largest revision to go on from: a merge per second has numbers for another eight years."""
+
+ORTHOGONAL = 1e-6
+"""Largest entry of R'R - I of what is called a rotation; what was written has 1e-15."""
+
+_DAMAGE = (ValueError, KeyError, TypeError, AttributeError, ArithmeticError, InvalidValue)
+"""What reading a note raises that has other things in it than a note has."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +79,7 @@ def load_state(path: str | Path) -> SavedState:
     Raises
     ------
     BagError
-        The file cannot be read, holds no sub-maps, or is of a later version.
+        The file cannot be read, holds no sub-maps, is of a later version, or its note is damaged.
 
     """
     path = Path(path)
@@ -78,7 +89,7 @@ def load_state(path: str | Path) -> SavedState:
     refused = tuple(item for item in found if item.submap is None)
     try:
         state = Snapshot(submaps, revision=0) if note is None else _noted(note, submaps)
-    except (ValueError, KeyError, TypeError) as err:
+    except _DAMAGE as err:
         raise BagError(f'{path}: its state is damaged: {err}') from err
     return SavedState(state, refused, note is not None)
 
@@ -97,8 +108,8 @@ def _read_note(path: Path) -> dict[str, Any] | None:
             f'{path}: state of format {note.get("format")}, this version reads {FORMAT}: update'
         )
     try:
-        return dict(json.loads(note['state']))
-    except (KeyError, ValueError) as err:
+        return _object(json.loads(note['state']))
+    except (*_DAMAGE, RecursionError) as err:
         raise BagError(f'{path}: its state is damaged: {err}') from err
 
 
@@ -125,15 +136,45 @@ def _noted(note: dict[str, Any], submaps: Any) -> Snapshot:
     anchor = note['anchor']
     return Snapshot(
         submaps,
-        anchor=None if anchor is None else Anchor(anchor['map_id'], _similarity(anchor)),
-        revision=int(note['revision']),
-        denied={
-            map_id: Denial(np.array(item['landmark_ids'], np.uint64), int(item['capacity']))
-            for map_id, item in note['denied'].items()
-        },
+        anchor=None if anchor is None else Anchor(_name(anchor['map_id']), _similarity(anchor)),
+        revision=_whole('revision', note['revision'], LAST_REVISION),
+        denied={map_id: _denial(item) for map_id, item in note['denied'].items()},
     )
+
+
+def _denial(item: dict[str, Any]) -> Denial:
+    largest_id = int(np.iinfo(np.uint64).max)
+    ids: Ids = np.array(
+        [_whole('landmark_ids', value, largest_id) for value in item['landmark_ids']], np.uint64
+    )
+    return Denial(ids, _whole('capacity', item['capacity'], 2**32 - 1))
 
 
 def _similarity(item: dict[str, Any]) -> Similarity:
     rotation: Floats = np.array(item['rotation'], np.float64)
-    return Similarity(float(item['scale']), rotation, np.array(item['translation'], np.float64))
+    translation: Floats = np.array(item['translation'], np.float64)
+    found = Similarity(float(item['scale']), rotation, translation)
+    is_turn = np.allclose(rotation.T @ rotation, np.eye(3), rtol=0.0, atol=ORTHOGONAL)
+    if not is_turn or np.linalg.det(rotation) < 0.0:
+        raise InvalidValue('rotation: this matrix is none')
+    return found
+
+
+def _object(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise InvalidValue(f'an object was expected, not {str(value)[:80]}')
+    return value
+
+
+def _name(value: Any) -> str:
+    if not isinstance(value, str):
+        raise InvalidValue(f'map_id: {str(value)[:80]} is no name')
+    return value
+
+
+def _whole(name: str, value: Any, largest: int) -> int:
+    """Check a number that JSON may have as anything: a fraction is none."""
+    number = operator.index(value)
+    if not 0 <= number <= largest:
+        raise InvalidValue(f'{name}: {number} is not between 0 and {largest}')
+    return number

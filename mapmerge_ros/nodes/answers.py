@@ -26,17 +26,20 @@ class Answers:
         ledger: Ledger,
         outgoing: Callable[[Fusion | None], Outgoing],
         is_active: Callable[[], bool],
+        on_reset: Callable[[], None],
     ) -> None:
         self._merges = merges
         self._ledger = ledger
         self._outgoing = outgoing
         self._is_active = is_active
+        self._on_reset = on_reset
 
     async def merge_now(self, request: Any, response: Any) -> Any:
         """Merge without waiting for the timer; messages are received meanwhile."""
         if not self._is_active():
             response.result = MergeNow.Response.RESULT_NOT_ACTIVE
             response.message = 'the node is not active'
+            response.status = self._outgoing(None).status(self._ledger)
             return response
         merged: Any = Future()
         self._merges.request(merged.set_result)
@@ -47,7 +50,7 @@ class Answers:
         return response
 
     def remove(self, request: Any, response: Any) -> Any:
-        """Remove the sub-maps of one name or one robot."""
+        """Remove the sub-maps of one name or one robot; one that has none is forgotten."""
         response.result, response.message = self._why_not(request)
         if response.result == RemoveMap.Response.RESULT_SUCCESS:
             names = self._ledger.matching(request.map_id, request.robot_id)
@@ -60,6 +63,7 @@ class Answers:
         names = tuple(self._ledger.maps)
         self._merges.reset()
         self._ledger.forget(names)
+        self._on_reset()
         response.success, response.message = True, f'{len(names)} sub-maps forgotten'
         return response
 
@@ -73,9 +77,10 @@ class Answers:
         codes, map_id, robot_id = RemoveMap.Response, request.map_id, request.robot_id
         if not map_id and not robot_id:
             return codes.RESULT_EMPTY_REQUEST, 'map_id and robot_id are both empty'
-        if robot_id and not self._ledger.matching('', robot_id):
+        # A robot whose maps were all left out has nothing here but its entry.
+        if robot_id and robot_id not in self._ledger.robots:
             return codes.RESULT_UNKNOWN_ROBOT, f'no sub-map of robot {robot_id!r}'
-        if not self._ledger.matching(map_id, robot_id):
+        if map_id and not self._ledger.matching(map_id, robot_id):
             return codes.RESULT_UNKNOWN_MAP, f'no sub-map {map_id!r}'
         return codes.RESULT_SUCCESS, ''
 

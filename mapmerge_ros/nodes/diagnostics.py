@@ -52,14 +52,12 @@ class Health:
     def message(self, stamp: Any) -> Any:
         """DiagnosticArray: the node first, then each robot, then topics without one."""
         robots = [self._robot(robot_id) for robot_id in sorted(self.ledger.robots)]
-        heard = {record.topic for record in self.ledger.robots.values()}
-        nobody = [self._topic(name) for name in sorted(self.ledger.troubles.keys() - heard)]
+        nobody = [self._topic(*item) for item in self.ledger.nobodys_troubles().items()]
         return DiagnosticArray(header=Header(stamp=stamp), status=[self._node(), *robots, *nobody])
 
-    def _topic(self, name: str) -> Any:
-        reason = self.ledger.troubles[name]
+    def _topic(self, name: str, reason: str) -> Any:
         values = {'topic': name, 'reason': reason}
-        text = f'nothing of it could be taken in; newest message: {reason}'
+        text = f'left out, from no robot that is known here: {reason}'
         return _status(DiagnosticStatus.WARN, f'{self.name}: topic {name}', text, '', values)
 
     def _node(self) -> Any:
@@ -164,7 +162,7 @@ class Health:
         level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
         notes = [f'{item.submap.map_id}: {item.note}' for item in found if item.note]
         level = DiagnosticStatus.WARN if notes else level
-        trouble = record.trouble or self.ledger.troubles.get(record.topic, '')
+        trouble = record.trouble or self.ledger.trouble_of(robot_id)
         level = DiagnosticStatus.WARN if trouble else level
         level = DiagnosticStatus.ERROR if in_quarantine else level
         text = '; '.join([reason or state, *notes])

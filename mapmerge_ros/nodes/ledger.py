@@ -7,10 +7,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from mapmerge_ros.fusion import Receipt
+from mapmerge_ros.io.sender import Sender
 from mapmerge_ros.submap import SubMap
 
 MAX_REASONS = 1000
 """Different refusals that are remembered: a broken robot must not fill the memory."""
+
+MAX_SENDERS = 100
+"""Senders of messages that failed the checks who are told apart; of more, only the topics."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +86,8 @@ class Ledger:
     robots: dict[str, RobotRecord] = field(default_factory=dict)
     maps: dict[str, Held] = field(default_factory=dict)
     """By map_id, those that the engine holds"""
-    troubles: dict[str, str] = field(default_factory=dict)
-    """By topic, why the newest message there failed the checks"""
+    troubles: dict[tuple[str, str], str] = field(default_factory=dict)
+    """By topic and robot_id ('' where none is named), why a newest message failed the checks"""
     _reasons: set[str] = field(default_factory=set)
 
     def count(self, size_bytes: int) -> None:
@@ -91,10 +95,14 @@ class Ledger:
         self.received += 1
         self.bytes_in += size_bytes
 
-    def refuse(self, topic: str, reason: str, now_ns: int) -> bool:
-        """Book a message that failed the checks; whether this is new and worth a line."""
+    def refuse(self, topic: str, reason: str, now_ns: int, sender: Sender | None = None) -> bool:
+        """
+        Book a message that failed the checks; whether this is new and worth a line.
+
+        `sender` is who it says it is from. Others on the topic are not blamed for it.
+        """
         self.refused += 1
-        self.troubles[topic] = reason
+        self._blame(topic, self._robot_of(sender), reason)
         reason = f'{topic}: {reason}'
         self.last_refusal, self.last_refusal_ns = reason, now_ns
         if reason in self._reasons or len(self._reasons) >= MAX_REASONS:
@@ -110,7 +118,7 @@ class Ledger:
         record.topic, record.last_ns, record.seen_ns = topic, now_ns, now_ns
         record.messages += 1
         record.size_bytes += size_bytes
-        self.troubles.pop(topic, None)
+        self._absolve(topic, submap.robot_id)
         if receipt.accepted:
             record.trouble = ''
             self.hold(submap, size_bytes, now_ns)
@@ -136,7 +144,20 @@ class Ledger:
         for record in self.robots.values():
             if record.topic in topics:
                 record.seen_ns = now_ns
-        self.troubles = {name: why for name, why in self.troubles.items() if name in topics}
+        self.troubles = {who: why for who, why in self.troubles.items() if who[0] in topics}
+
+    def trouble_of(self, robot_id: str) -> str:
+        """Return why the newest message of a robot failed the checks; empty if it did not."""
+        found = (why for who, why in self.troubles.items() if self._culprit(*who) == robot_id)
+        return next(found, '')
+
+    def nobodys_troubles(self) -> dict[str, str]:
+        """By topic, why messages failed the checks whose sender is no robot that is known."""
+        found: dict[str, str] = {}
+        for (topic, robot_id), why in sorted(self.troubles.items()):
+            if not self._culprit(topic, robot_id):
+                found[topic] = f'{found[topic]}; {why}' if topic in found else why
+        return found
 
     def rewind(self, now_ns: int) -> None:
         """Follow a clock that was set back: nothing was heard in the future."""
@@ -146,6 +167,40 @@ class Ledger:
             record.seen_ns = min(record.seen_ns, now_ns)
         if self.last_refusal_ns is not None:
             self.last_refusal_ns = min(self.last_refusal_ns, now_ns)
+
+    def begin(self, now_ns: int) -> None:
+        """Follow a clock that has just got its first time: what came before came now."""
+        for record in self.robots.values():
+            record.first_ns = record.last_ns = record.seen_ns = now_ns
+        if self.last_refusal_ns is not None:
+            self.last_refusal_ns = now_ns
+
+    def _robot_of(self, sender: Sender | None) -> str:
+        if sender is None:
+            return ''
+        held = self.maps.get(sender.map_id)
+        return sender.robot_id or ('' if held is None else held.robot_id)
+
+    def _blame(self, topic: str, robot_id: str, reason: str) -> None:
+        is_known = (topic, robot_id) in self.troubles or robot_id in self.robots
+        if not is_known and len(self.troubles) >= MAX_SENDERS:
+            robot_id = ''
+        self.troubles[topic, robot_id] = reason
+
+    def _absolve(self, topic: str, robot_id: str) -> None:
+        """Drop what a good message makes up for: who was not named on its topic may be it."""
+        self.troubles = {
+            who: why
+            for who, why in self.troubles.items()
+            if who[1] != robot_id and who != (topic, '')
+        }
+
+    def _culprit(self, topic: str, robot_id: str) -> str:
+        """Name of a known robot that is to blame; where none is named, the only one there."""
+        if robot_id:
+            return robot_id if robot_id in self.robots else ''
+        there = [name for name, record in self.robots.items() if record.topic == topic]
+        return there[0] if len(there) == 1 else ''
 
     def _record(self, robot_id: str, topic: str, now_ns: int) -> RobotRecord:
         return self.robots.setdefault(robot_id, RobotRecord(topic, now_ns, now_ns, now_ns))

@@ -25,7 +25,9 @@ class Outputs:
 
     def __init__(self, node: Any, publish_tf: bool) -> None:
         self._node = node
-        self._global_map = node.create_publisher(SubMap, '~/global_map', LATCHED_PROFILE)
+        self._global_map = self._global_map_publisher()
+        self._has_map = False
+        """Whether who comes late gets a global map"""
         self._alignments = node.create_publisher(AlignmentArray, '~/alignments', LATCHED_PROFILE)
         self._changes = node.create_publisher(ChangeArray, '~/changes', LATCHED_PROFILE)
         self._points = node.create_publisher(PointCloud2, '~/points', LATCHED_PROFILE)
@@ -44,9 +46,7 @@ class Outputs:
     ) -> Any:
         """Send all about one fusion; its status, which is sent last."""
         header = outgoing.header
-        if product.global_map is not None:
-            self._global_map.publish(product.global_map)
-            ledger.bytes_out += len(product.global_map)
+        self._send_map(product.global_map, ledger)
         self._frames.publish(product.fusion, header)
         self._points.publish(product.cloud.message(header))
         self._markers.publish(Drawing(product.fusion, header, max_ellipsoids).message())
@@ -55,6 +55,20 @@ class Outputs:
         status = outgoing.status(ledger)
         self._status.publish(status)
         return status
+
+    def _send_map(self, raw: bytes | None, ledger: Ledger) -> None:
+        if raw is not None:
+            self._global_map.publish(raw)
+            self._has_map = True
+            ledger.bytes_out += len(raw)
+        elif self._has_map:
+            # No message says that there is no map: only a new publisher has nothing for who
+            # comes late. All other topics have an empty one.
+            self._node.destroy_publisher(self._global_map)
+            self._global_map, self._has_map = self._global_map_publisher(), False
+
+    def _global_map_publisher(self) -> Any:
+        return self._node.create_publisher(SubMap, '~/global_map', LATCHED_PROFILE)
 
     def ask(self, request: Request, now_ns: int) -> None:
         """Send a request to a robot."""

@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import Any
@@ -35,6 +35,33 @@ POLL_S = 0.2
 DEPTH = 1000
 """Messages of a topic that may wait; requests keep as many for latecomers."""
 
+REMEMBERED = 100 * DEPTH
+"""Messages of a topic that are known again: a hundred publishers may latch as many as may wait."""
+
+
+class Known:
+    """
+    Messages of a topic that were written.
+
+    A new subscription is sent again what is latched, with the time of its publication. Who sends
+    the same bytes a second time does it at another.
+    """
+
+    def __init__(self) -> None:
+        self._keys: set[int] = set()
+        self._order: deque[int] = deque()
+
+    def is_news(self, raw: bytes, published_ns: int) -> bool:
+        """Take note of a message; whether it was not known. Without a time (0) all are news."""
+        key = hash((published_ns, raw))
+        if published_ns and key in self._keys:
+            return False
+        self._keys.add(key)
+        self._order.append(key)
+        if len(self._order) > REMEMBERED:
+            self._keys.discard(self._order.popleft())
+        return True
+
 
 class RecordNode(Node):  # type: ignore[misc]
     """Subscribes to every topic of mapmerge_msgs, with the quality that its publishers offer."""
@@ -46,6 +73,7 @@ class RecordNode(Node):  # type: ignore[misc]
             raise InvalidValue(f'output: {output!r}: give a name that ends in .mcap')
         self._pattern = re.compile(pattern)
         self._subscribed: dict[str, tuple[Any, Quality]] = {}
+        self._known: dict[str, Known] = {}
         self._counts: Counter[str] = Counter()
         self._stack = ExitStack()
         self._recorder = self._stack.enter_context(record(output))
@@ -82,9 +110,21 @@ class RecordNode(Node):  # type: ignore[misc]
         )
         self._subscribed[topic] = subscription, quality
         if old is not None:
+            self._drain(topic, typename, old[0])
             self.destroy_subscription(old[0])
 
-    def _on_message(self, topic: str, typename: str, raw: bytes) -> None:
+    def _drain(self, topic: str, typename: str, subscription: Any) -> None:
+        """Write what has arrived and would go with its subscription."""
+        handle = subscription.handle
+        with handle:
+            while (taken := handle.take_message(subscription.msg_type, True)) is not None:
+                self._on_message(topic, typename, *taken)
+
+    def _on_message(
+        self, topic: str, typename: str, raw: bytes, info: Mapping[str, int | None]
+    ) -> None:
+        if not self._known.setdefault(topic, Known()).is_news(raw, info['source_timestamp'] or 0):
+            return
         now_ns = max(int(self.get_clock().now().nanoseconds), 0)
         self._recorder.write_bytes(topic, now_ns, typename, raw)
         self._counts[topic] += 1

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -44,9 +45,9 @@ class Saving:
     def load_map(self, request: Any, response: Any) -> Any:
         """Take in what a file holds, beside what is here; the newer of two revisions stays."""
         codes = LoadMap.Response
-        if not request.path or not Path(request.path).exists():
+        if reason := _why_not_found(request.path):
             response.result = codes.RESULT_NOT_FOUND
-            response.message = f'{request.path!r}: no such file'
+            response.message = f'{request.path!r}: {reason}'
             return response
         try:
             saved = load_state(request.path)
@@ -63,3 +64,17 @@ class Saving:
         if not response.sub_maps:
             response.result = codes.RESULT_REFUSED
         return response
+
+
+def _why_not_found(path: str) -> str:
+    """Return why nothing can be read at a path; empty where a file or folder is."""
+    if not path:
+        return 'no such file'
+    try:
+        # `exists` has no answer where a folder is closed or a name too long, and raises.
+        Path(path).stat()
+    except OSError as err:
+        return err.strerror or str(err)
+    except ValueError as err:  # a name that no file can have
+        return str(err)
+    return '' if os.access(path, os.R_OK) else 'not readable: permission denied'

@@ -16,8 +16,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from mapmerge_ros.fusion import Fusion, FusionEngine
 from mapmerge_ros.io import InvalidMessage, decode_submap
+from mapmerge_ros.io.sender import sender_of_submap
 from mapmerge_ros.io.typestore import typestore
 from mapmerge_ros.nodes.answers import Answers
+from mapmerge_ros.nodes.cloud import Cloud
 from mapmerge_ros.nodes.diagnostics import Health
 from mapmerge_ros.nodes.discovery import SubmapTopics
 from mapmerge_ros.nodes.ledger import Ledger
@@ -34,8 +36,16 @@ POLL_S = 1.0
 CONFLICT_LOG_S = 10.0
 """Least time between two lines about maps that are news and left out all the same."""
 
-BACKWARD = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1))
-"""A recording that starts again, or a clock that is replaced by another."""
+JUMPS = JumpThreshold(min_forward=Duration(seconds=1), min_backward=Duration(nanoseconds=-1))
+"""
+A recording that starts again, a clock that is replaced by another, the first time of all.
+
+Whatever else moves a clock on by a second is told too, and changes nothing.
+"""
+
+
+EMPTY = Product(Fusion((), (), ()), None, Cloud(b''))
+"""The merge of nothing."""
 
 
 class Session:
@@ -66,7 +76,7 @@ class Session:
         # Robots come and go in real time, whatever the clock of the node does.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._poll = node.create_timer(POLL_S, self._on_poll, clock=steady)
-        self._jumps = node.get_clock().create_jump_callback(BACKWARD, post_callback=self._on_jump)
+        self._jumps = node.get_clock().create_jump_callback(JUMPS, post_callback=self._on_jump)
         typestore()  # takes a quarter of a second, for which the first messages would wait
 
     @property
@@ -100,6 +110,7 @@ class Session:
             self.topics.destroy()
             self.topics = None
             self._node.destroy_timer(self._tick)
+            self._tick = None
 
     def destroy(self) -> bool:
         """Give everything back; whether no merge was left behind."""
@@ -132,7 +143,7 @@ class Session:
         try:
             submap = decode_submap(raw)
         except InvalidMessage as err:
-            if self.ledger.refuse(topic, str(err), self.now_ns):
+            if self.ledger.refuse(topic, str(err), self.now_ns, sender_of_submap(raw)):
                 log.warning(f'refused: {topic}: {err}')
             return
         receipt = self.merges.engine.add(submap)
@@ -148,7 +159,9 @@ class Session:
             log.info(f'{submap.map_id} begins again with revision {submap.revision}')
 
     def _answer_services(self) -> list[Any]:
-        answers = Answers(self.merges, self.ledger, self._outgoing, lambda: self.is_active)
+        answers = Answers(
+            self.merges, self.ledger, self._outgoing, lambda: self.is_active, self._on_reset
+        )
         saving = Saving(self.merges.engine, self.ledger, lambda: self.now_ns)
         make = self._node.create_service
         # While it waits for its merge, all other callbacks have to go on.
@@ -170,9 +183,14 @@ class Session:
         self.merges.finish()
 
     def _on_jump(self, jump: Any) -> None:
-        self.ledger.rewind(self.now_ns)
+        now_ns = self.now_ns
+        # Until its first time a clock stands at 0.
+        is_first = now_ns - jump.delta.nanoseconds <= 0
+        if is_first:
+            self.ledger.begin(now_ns)
+        self.ledger.rewind(now_ns)
         if self._merged_ns is not None:
-            self._merged_ns = min(self._merged_ns, self.now_ns)
+            self._merged_ns = now_ns if is_first else min(self._merged_ns, now_ns)
 
     def _on_merge(self, result: Result[Product]) -> None:
         self._error = result.error
@@ -183,6 +201,12 @@ class Session:
         if self.is_active:
             self._publish(result.product)
             self._ask()
+
+    def _on_reset(self) -> None:
+        """Nobody shall hear any more of what was forgotten, paused or inactive as one may be."""
+        if self.product is not None:
+            self.product = EMPTY
+            self._publish(EMPTY)
 
     def _ask(self) -> None:
         """Send the requests whose time has come."""
