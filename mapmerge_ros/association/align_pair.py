@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +25,7 @@ def match_pair(a: SubMap, b: SubMap, config: AssociationConfig) -> PairMatch:
 
     The same landmarks in another order, or the maps exchanged, give the same matches.
     """
-    if _rank(b) < _rank(a):
+    if rank(b) < rank(a):
         return match_pair(b, a, config).exchanged()
     order_a, order_b = np.argsort(a.landmark_ids), np.argsort(b.landmark_ids)
     found = nearest(a.descriptors[order_a], b.descriptors[order_b], config)
@@ -48,9 +49,17 @@ def match_pair(a: SubMap, b: SubMap, config: AssociationConfig) -> PairMatch:
     return _result(decision, reason, evidence, aligned, rows_a, rows_b)
 
 
-def _rank(submap: SubMap) -> tuple[str, int, bytes]:
-    """Order of two maps that does not depend on which is asked about first."""
-    return submap.map_id, submap.revision, submap.points[:1].tobytes()
+def rank(submap: SubMap) -> tuple[int, bytes, str, int, bytes]:
+    """
+    Order of sub-maps in which they are compared: the larger one of a pair is the first.
+
+    It depends neither on which is asked about first nor, unless they are twins, on what they are
+    called: names are anyone's choice, and a pair is not quite symmetric.
+    """
+    rows = submap.descriptors.rows[np.argsort(submap.landmark_ids)]
+    content = hashlib.blake2b(rows.tobytes(), digest_size=16).digest()
+    first = submap.points[:1].tobytes()
+    return -len(submap.landmark_ids), content, submap.map_id, submap.revision, first
 
 
 def variances(submap: SubMap) -> Floats:

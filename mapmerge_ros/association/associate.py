@@ -11,6 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from mapmerge_ros.arrays import Ints
+from mapmerge_ros.association.align_pair import rank
 from mapmerge_ros.association.by_id import number_by_id
 from mapmerge_ros.association.config import AssociationConfig
 from mapmerge_ros.association.consensus import greedy_tracks, transitive
@@ -64,12 +65,13 @@ def associate(
     """
     Find common landmarks by id within an id space, by descriptors and geometry elsewhere.
 
-    The result does not depend on the order of the sub-maps. `memory` keeps what was found about
-    pairs, so that a new sub-map is matched against the others and nothing else is done again.
+    The result depends neither on the order of the sub-maps nor on their names. `memory` keeps what
+    was found about pairs, so that a new sub-map is matched against the others and nothing else is
+    done again.
     """
     config = config or AssociationConfig()
     memory = Memory() if memory is None else memory
-    order = sorted(range(len(submaps)), key=lambda k: submaps[k].map_id)
+    order = sorted(range(len(submaps)), key=lambda k: rank(submaps[k]))
     found = _associate([submaps[k] for k in order], config, memory, by_descriptors)
     return found.restricted([order.index(k) for k in range(len(submaps))])
 
@@ -77,7 +79,7 @@ def associate(
 def _associate(
     maps: Sequence[SubMap], config: AssociationConfig, memory: Memory, by_descriptors: bool
 ) -> Correspondences:
-    """Sub-maps by map_id: alignments and searches are in the frame of the first of a pair."""
+    """Sub-maps by rank: alignments and searches are in the frame of the first of a pair."""
     known, count = number_by_id(maps, [submap.landmark_ids for submap in maps])
     memory.turn()
     described = _described(maps) if by_descriptors else []
