@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mapmerge_ros.bundle import Bundle, FramePrior
 from mapmerge_ros.geometry import Gauge
@@ -63,6 +66,60 @@ def random_bundle(
     return bundle.moved(
         off * 0.1 * rng.normal(size=(keyframes, 6)), off * rng.normal(size=(points, 3))
     )
+
+
+def with_a_turn_on_the_spot(bundle, turn_rad=0.1):
+    """
+    Add key frame 999 at the very place of the first, and point 999 that only these two see.
+
+    The other points of the first key frame are seen in the new one too, without noise.
+    """
+    R, t = bundle.rotations_camera_map[0], bundle.translations_camera_map[0]
+    turned = Rotation.from_rotvec([0.0, turn_rad, 0.0]).as_matrix()
+    new_point = R.T @ (np.array([0.3, 0.2, 9.0]) - t)
+    points = np.vstack([bundle.points, new_point])
+    old = bundle.observation_points[bundle.observation_keyframes == 0]
+    added, frame = len(bundle.points), len(bundle.keyframe_ids)
+    rows = np.r_[added, old, added]
+    frames = np.r_[0, np.full(len(old) + 1, frame)]
+    in_first = points[rows] @ R.T + t
+    in_camera = np.vstack([in_first[:1], in_first[1:] @ turned.T])
+    k = bundle.intrinsics[bundle.keyframe_cameras[0]]
+    pixels = k[:2] * in_camera[:, :2] / in_camera[:, 2:] + k[2:]
+    return replace(
+        bundle,
+        keyframe_ids=np.append(bundle.keyframe_ids, np.uint64(999)),
+        keyframe_cameras=np.append(bundle.keyframe_cameras, bundle.keyframe_cameras[0]),
+        rotations_camera_map=np.concatenate([bundle.rotations_camera_map, [turned @ R]]),
+        translations_camera_map=np.vstack([bundle.translations_camera_map, turned @ t]),
+        point_ids=np.append(bundle.point_ids, np.uint64(999)),
+        points=points,
+        observation_keyframes=np.append(bundle.observation_keyframes, frames),
+        observation_points=np.append(bundle.observation_points, rows),
+        observations_px=np.vstack([bundle.observations_px, pixels]),
+        descriptors=Descriptors.none(added + 1),
+    )
+
+
+def seen_only(bundle, kept):
+    """Return the bundle of some observations (o,), with the points that two of them see."""
+    views = np.bincount(bundle.observation_points[kept], minlength=len(bundle.points))
+    points = np.flatnonzero(views >= 2)
+    kept = kept & np.isin(bundle.observation_points, points)
+    return replace(
+        bundle,
+        point_ids=bundle.point_ids[points],
+        points=bundle.points[points],
+        descriptors=bundle.descriptors[points],
+        observation_keyframes=bundle.observation_keyframes[kept],
+        observation_points=np.searchsorted(points, bundle.observation_points[kept]),
+        observations_px=bundle.observations_px[kept],
+    )
+
+
+def without_points(bundle, ids):
+    """Return the bundle without some of its points."""
+    return seen_only(bundle, ~np.isin(bundle.point_ids[bundle.observation_points], ids))
 
 
 def assert_same_elimination(fast, dense):

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +27,14 @@ from mapmerge_ros.cli.main import main
 from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.fusion import FusionConfig, fuse
 from mapmerge_ros.geometry import align
-from mapmerge_ros.io import decode_submap, encode_request
+from mapmerge_ros.io import NamedBundle, decode_submap, encode_bundle, encode_request
 from mapmerge_ros.nodes.quality import LATCHED_PROFILE, REQUESTS_PROFILE
 from mapmerge_ros.simulation import Fleet, FleetConfig, simulate_fleet
 from mapmerge_ros.submap import Request, SubMap
 
 pytest.importorskip('pycolmap', reason='pycolmap is missing to simulate bundles')
+FusionStatus = pytest.importorskip('mapmerge_msgs.msg', reason=REMEDY).FusionStatus
+BundleMessage = pytest.importorskip('mapmerge_msgs.msg', reason=REMEDY).Bundle
 LandmarkRequest = pytest.importorskip('mapmerge_msgs.msg', reason=REMEDY).LandmarkRequest
 
 ROBOT = 'mapmerge_ros.nodes.compressor_node'
@@ -127,6 +130,51 @@ def assert_map_is_true(observer: Observer, fleet: Fleet) -> None:
         S_world_global = align(truth, submap.compressed_points).S_target_source
         errors = np.linalg.norm(S_world_global.apply(submap.compressed_points) - truth, axis=1)
         assert np.median(errors) < 0.1
+
+
+def test_a_slam_that_keeps_sending_stays_in_the_global_map(
+    children: Children, observer: Observer, fleet: Fleet
+) -> None:
+    """Every bundle used to put its robot out of the merge until it was asked again."""
+    senders = {}
+    for name in fleet.names:
+        topics = {key: f'/{name.robot_id}/{key}' for key in ('submap', 'bundle')}
+        children.start(name.robot_id, ROBOT, {}, topics)
+        senders[name.map_id] = observer.create_publisher(
+            BundleMessage, topics['bundle'], LATCHED_PROFILE
+        )
+    children.start('fusion', FUSION, {'merge_period': 0.3, 'request_landmarks': 40})
+
+    def send(k: int, revision: int) -> None:
+        name = replace(fleet.names[k], revision=revision)
+        stamps = (0,) * len(fleet.bundles[k].keyframe_ids)
+        raw = encode_bundle(NamedBundle(name, fleet.bundles[k], stamps))
+        senders[name.map_id].publish(raw)
+
+    for k in range(DRONES):
+        send(k, 1)
+    spin_until([observer], lambda: observer.merged == DRONES, 'all merged')
+    spin_for([observer], 1.0)
+    merged: list[int] = []
+    observer.create_subscription(
+        FusionStatus,
+        '/fusion_node/status',
+        lambda message: merged.append(message.merged),
+        LATCHED_PROFILE,
+    )
+    for revision in range(2, 10):
+        before = revisions(observer)[fleet.names[0].map_id]
+        send(0, revision)
+        spin_for([observer], 0.4)
+    spin_until(
+        [observer],
+        lambda: revisions(observer)[fleet.names[0].map_id] > before,
+        'one of the last bundles is merged',
+    )
+    assert set(merged) == {DRONES}
+    assert len(merged) > 2
+    assert_map_is_true(observer, fleet)
+    assert children.ended() == ''
 
 
 def test_bad_requests_disturb_nothing(

@@ -18,23 +18,34 @@ from ros_processes import (
     spin_for,
     spin_until,
 )
-from scenes import random_bundle
+from scenes import random_bundle, with_a_turn_on_the_spot
 
 from mapmerge_ros.bundle import Bundle, MapName
 from mapmerge_ros.cli.processes import Children
 from mapmerge_ros.fusion.refine import Robot, refine
 from mapmerge_ros.geometry import Similarity, align
-from mapmerge_ros.io import NamedBundle, decode_bundle, decode_submap, encode_bundle
+from mapmerge_ros.io import (
+    NamedBundle,
+    decode_bundle,
+    decode_submap,
+    encode_bundle,
+    encode_request,
+)
+from mapmerge_ros.nodes.compressor_node import CompressorNode
 from mapmerge_ros.nodes.outbox import Outbox
-from mapmerge_ros.nodes.quality import LATCHED_PROFILE
-from mapmerge_ros.submap import SubMap
+from mapmerge_ros.nodes.own_maps import OwnMaps
+from mapmerge_ros.nodes.quality import LATCHED_PROFILE, REQUESTS_PROFILE
+from mapmerge_ros.submap import Request, SubMap
 
 BundleMessage = pytest.importorskip('mapmerge_msgs.msg', reason=REMEDY).Bundle
+RequestMessage = pytest.importorskip('mapmerge_msgs.msg', reason=REMEDY).LandmarkRequest
 PathMessage = pytest.importorskip('nav_msgs.msg', reason=REMEDY).Path
 PointCloud2 = pytest.importorskip('sensor_msgs.msg', reason=REMEDY).PointCloud2
 
 COMPRESSOR = 'mapmerge_ros.nodes.compressor_node'
 ROBOTS, S = 3, 1_000_000_000
+FAR = 4_000_000_000
+"""A revision beyond every clock"""
 
 
 def bundle_of(robot: int, revision: int = 1) -> NamedBundle:
@@ -167,6 +178,91 @@ def test_a_newer_bundle_takes_the_place_of_the_older(
     spin_until([observer], lambda: log.read_text().count('announced') == 2, 'two of them')
     spin_for([observer], 0.3)
     assert log.read_text().count('announced') == 2, 'what came twice is not newer'
+
+
+def test_of_many_bundles_in_a_row_the_newest_counts(
+    children: Children, observer: Observer
+) -> None:
+    """A SLAM that is faster than the robot: what waits is replaced, and a request is answered."""
+    heard, count, first = Heard(observer, 1), 20, large_bundle()
+    children.start('d0', COMPRESSOR, {}, {'__ns': '/d0'})
+    requests = observer.create_publisher(RequestMessage, '/fusion_node/requests', REQUESTS_PROFILE)
+    send = heard.senders['d0']
+    spin_until([observer], send.get_subscription_count, 'the robot listens')
+    spin_until([observer], requests.get_subscription_count, 'also to requests')
+    send.publish(encode_bundle(first))
+    spin_until([observer], lambda: heard.submaps, 'the first')
+    ids = first.bundle.point_ids[:10]
+    for k in range(1, count + 1):
+        later = replace(first, name=replace(first.name, revision=FAR + k))
+        send.publish(encode_bundle(later))
+        if k == count // 2:
+            revision = heard.submaps['d0'].revision
+            requests.publish(encode_request(Request('d0/0', 'd0', revision, ids), 0))
+        spin_for([observer], 0.05)
+    spin_until(
+        [observer],
+        lambda: (
+            heard.submaps['d0'].revision >= FAR + count and heard.submaps['d0'].compressed_count
+        ),
+        'the last one, compressed',
+    )
+    np.testing.assert_array_equal(heard.submaps['d0'].compressed_ids, ids)
+    log = children.log('d0').read_text()
+    assert log.count('announced') + log.count('sent') <= count // 2, log
+
+
+def large_bundle() -> NamedBundle:
+    """One that takes much longer to announce than the test leaves between two of them."""
+    bundle = random_bundle(0, points=4000, keyframes=40)
+    name = MapName('d0/0', 'd0', FAR, id_space='site')
+    return NamedBundle(name, bundle, (0,) * len(bundle.keyframe_ids))
+
+
+def test_points_without_parallax_are_told_once(children: Children, observer: Observer) -> None:
+    heard, named = Heard(observer, 1), bundle_of(0)
+    turned = replace(named, bundle=with_a_turn_on_the_spot(named.bundle))
+    stamps = (*named.keyframe_stamps_ns, 0)
+    children.start('d0', COMPRESSOR, {}, {'__ns': '/d0'})
+    for revision in (1, 2, 3):
+        name = replace(named.name, revision=revision)
+        heard.senders['d0'].publish(
+            encode_bundle(replace(turned, name=name, keyframe_stamps_ns=stamps))
+        )
+        spin_until(
+            [observer],
+            lambda count=revision: children.log('d0').read_text().count('announced') == count,
+            'an announcement',
+        )
+    assert children.log('d0').read_text().count('d0/0: 1 landmark left out') == 1
+    assert len(heard.submaps['d0'].landmark_ids) == len(named.bundle.point_ids)
+
+
+def test_a_failure_names_the_map(
+    children: Children,
+    observer: Observer,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    def fail(*_: Any) -> None:
+        raise ArithmeticError('a bug')
+
+    monkeypatch.setattr(OwnMaps, 'prepare', fail)
+    node, heard, shown = CompressorNode(), Heard(observer, 1), []
+    sender = observer.create_publisher(BundleMessage, 'bundle', LATCHED_PROFILE)
+    sender.publish(encode_bundle(bundle_of(0)))
+
+    def log() -> str:
+        shown.append(capfd.readouterr().err)
+        return ''.join(shown)
+
+    try:
+        spin_until([observer, node], lambda: 'a bug' in log(), 'the failure')
+    finally:
+        node.close()
+        node.destroy_node()
+    assert 'bundle of d0/0 failed: ArithmeticError: a bug' in log()
+    assert not heard.submaps
 
 
 def test_an_outbox_keeps_its_budget_and_sends_the_newest() -> None:

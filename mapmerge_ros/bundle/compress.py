@@ -13,7 +13,12 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.bundle.bundle import Bundle
 from mapmerge_ros.bundle.dense import eliminate_densely
-from mapmerge_ros.bundle.elimination import Elimination, point_information
+from mapmerge_ros.bundle.elimination import (
+    Elimination,
+    held,
+    is_determined,
+    point_information,
+)
 from mapmerge_ros.bundle.follow import behind, follow
 from mapmerge_ros.bundle.linearise import Linearisation, linearise
 from mapmerge_ros.bundle.quality import claimed_variances
@@ -24,13 +29,6 @@ from mapmerge_ros.geometry import Similarity, align
 from mapmerge_ros.submap import Source, SubMap, alignment_weights, pack, upper_from_symmetric
 
 Method = Literal['auto', 'schur', 'qr', 'dense']
-
-MAX_POINT_CONDITION = 1e10
-"""
-Condition number of a point's normal equations up to which 6 digits of its block survive.
-
-Beyond it (a point near infinity, two key frames at the same place) Schur complements cancel.
-"""
 
 _ELIMINATE: dict[str, Callable[[Linearisation, Ints], Elimination]] = {
     'schur': eliminate_by_schur,
@@ -66,7 +64,7 @@ def eliminate(lin: Linearisation, shared_rows: Ints, method: Method = 'auto') ->
     """
     if method != 'auto':
         return _ELIMINATE[method](lin, shared_rows)
-    if np.linalg.cond(point_information(lin)).max() < MAX_POINT_CONDITION:
+    if is_determined(point_information(lin)).all():
         try:
             return eliminate_by_schur(lin, shared_rows)
         except DegenerateGeometry:
@@ -88,7 +86,8 @@ def compress(
 
     `landmark_ids` (m,) are the bundle's points that R is to be about; none makes a bare
     announcement. `catalogue` says whether position and descriptor of the others go along.
-    R is float32 as on the wire, unless `dtype` says float64.
+    R is float32 as on the wire, unless `dtype` says float64. A point without parallax has a huge
+    covariance.
 
     Raises
     ------
@@ -108,7 +107,7 @@ def compress(
     cost_px2 = found.a**2 if len(shared_rows) else lin.cost_px2
     variance = bundle.sigma_px**2 or cost_px2 / max(residual_count - dof, 1)
     variances = claimed_variances(lin, variance)[rows]
-    covariances = variances[:, None, None] * np.linalg.inv(point_information(lin)[rows])
+    covariances = variances[:, None, None] * np.linalg.inv(held(point_information(lin)[rows]))
     return SubMap(
         map_id=name.map_id,
         robot_id=name.robot_id,

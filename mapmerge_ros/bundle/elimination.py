@@ -8,9 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Ints
+from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.bundle.lens import COUNT
 from mapmerge_ros.bundle.linearise import Linearisation
+
+MAX_POINT_CONDITION = 1e10
+"""
+Condition number of a point's normal equations up to which 6 digits of its block survive.
+
+Beyond it (a point near infinity, two key frames at the same place) Schur complements cancel. Rays
+that meet at 2e-5 rad have it: a fiftieth of a pixel, in which nothing says how far the point is.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +58,29 @@ def point_information(lin: Linearisation) -> Floats:
     return sum_by_point(lin, products(lin.by_point, lin.by_point))
 
 
+def is_determined(information: Floats) -> Mask:
+    """Which points (n,) of an information (n, 3, 3) are held in every direction."""
+    # A point in a camera's very centre: the decomposition fails on what is not a number.
+    finite = np.isfinite(information).all(axis=(1, 2), keepdims=True)
+    usable = np.where(finite, information, 0.0)
+    found: Mask = np.linalg.cond(usable) < MAX_POINT_CONDITION
+    return found
+
+
+def held(information: Floats) -> Floats:
+    """
+    Information (n, 3, 3) that can be inverted: as it is where the points are determined.
+
+    Elsewhere no direction is weaker than 1 / MAX_POINT_CONDITION of all: its inverse is large
+    where nothing is known, and not the noise of cancelled digits.
+    """
+    loose = np.flatnonzero(~is_determined(information))
+    found = information.copy()
+    total = np.trace(found[loose], axis1=1, axis2=2)
+    found[loose] += (total / MAX_POINT_CONDITION)[:, None, None] * np.eye(3)
+    return found
+
+
 def products(left: Floats, right: Floats) -> Floats:
     """Left' right (o, j, k) of each observation's blocks (o, 2, j) and (o, 2, k)."""
     found: Floats = left.transpose(0, 2, 1) @ right
@@ -80,5 +111,5 @@ def _best_points(lin: Linearisation, pose_steps: Floats, lens_steps: Floats) -> 
     residuals = lin.residuals_px + np.einsum('oij,oj->oi', lin.by_pose, moved)
     residuals += lin.by_lens @ lens_steps.ravel()
     gradient = sum_by_point(lin, np.einsum('oij,oi->oj', lin.by_point, residuals))
-    steps: Floats = np.linalg.solve(point_information(lin), -gradient[:, :, None])[:, :, 0]
+    steps: Floats = np.linalg.solve(held(point_information(lin)), -gradient[:, :, None])[:, :, 0]
     return steps

@@ -11,7 +11,8 @@ from pathlib import Path
 from mapmerge_ros.bundle import Bundle, MapName
 from mapmerge_ros.cli import console, options
 from mapmerge_ros.cli.names import robot_names
-from mapmerge_ros.io import load_colmap
+from mapmerge_ros.io import read_colmap
+from mapmerge_ros.io.wording import without_parallax
 
 FIRST_STAMP_NS = STEP_NS = 1_000_000
 """Models have no time of their own: a millisecond apart, in the order in which they are named."""
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def load(args: argparse.Namespace) -> list[Bundle]:
     """
-    Read all models.
+    Read all models; says how many points of a map have no parallax and are left out.
 
     Raises
     ------
@@ -60,7 +61,11 @@ def load(args: argparse.Namespace) -> list[Bundle]:
         pycolmap is not installed.
 
     """
-    return [_load(model, args) for model in console.progress(args.models, 'reading')]
+    work = zip(args.models, map_names(args), strict=True)
+    return [
+        _load(model, name, args)
+        for model, name in console.progress(work, 'reading', len(args.models))
+    ]
 
 
 def map_names(args: argparse.Namespace) -> list[MapName]:
@@ -77,6 +82,9 @@ def map_names(args: argparse.Namespace) -> list[MapName]:
     ]
 
 
-def _load(model: Path, args: argparse.Namespace) -> Bundle:
-    bundle = load_colmap(model, args.gauge)
+def _load(model: Path, name: MapName, args: argparse.Namespace) -> Bundle:
+    found = read_colmap(model, args.gauge)
+    if found.undetermined:
+        console.warn(f'{name.map_id}: {without_parallax(found.undetermined)}')
+    bundle = found.bundle
     return bundle if args.sigma is None else replace(bundle, sigma_px=args.sigma)

@@ -7,13 +7,14 @@ from mapmerge_ros.io.bundle_files import load_bundles
 from mapmerge_ros.io.bundle_messages import NamedBundle, bundle_from_message, bundle_to_message
 from mapmerge_ros.io.codec import (
     decode_bundle,
+    decode_bundle_name,
     decode_request,
     decode_submap,
     encode_bundle,
     encode_request,
     encode_submap,
 )
-from mapmerge_ros.io.colmap import MissingExtraError, load_colmap
+from mapmerge_ros.io.colmap import MissingExtraError, load_colmap, read_colmap
 from mapmerge_ros.io.colmap_files import ModelError
 from mapmerge_ros.io.fields import MAX_MESSAGE_BYTES, Factory, InvalidMessage, class_factory
 from mapmerge_ros.io.messages import submap_from_message, submap_to_message
@@ -38,6 +39,7 @@ __all__ = [
     'class_factory',
     'create',
     'decode_bundle',
+    'decode_bundle_name',
     'decode_request',
     'decode_submap',
     'encode_bundle',
@@ -45,6 +47,7 @@ __all__ = [
     'encode_submap',
     'load_bundles',
     'load_colmap',
+    'read_colmap',
     'read_submaps',
     'record',
     'replacing',

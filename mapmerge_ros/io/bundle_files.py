@@ -12,7 +12,7 @@ from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.io.bags import read_raw
 from mapmerge_ros.io.bundle_messages import NamedBundle
 from mapmerge_ros.io.codec import decode_bundle
-from mapmerge_ros.io.colmap import load_colmap
+from mapmerge_ros.io.colmap import read_colmap
 from mapmerge_ros.io.typestore import BUNDLE
 
 
@@ -43,11 +43,10 @@ def load_bundles(
     path = Path(path)
     if path.is_dir() and not (path / 'metadata.yaml').exists():
         name = robot_id or path.resolve().name
-        bundle = load_colmap(path, gauge)
-        frames = len(bundle.keyframe_ids)
-        return (
-            NamedBundle(MapName(f'{name}/0000', name, id_space=id_space), bundle, (0,) * frames),
-        )
+        model = read_colmap(path, gauge)
+        map_name = MapName(f'{name}/0000', name, id_space=id_space)
+        stamps_ns = (0,) * len(model.bundle.keyframe_ids)
+        return (NamedBundle(map_name, model.bundle, stamps_ns, model.undetermined),)
     found = [decode_bundle(raw) for raw in read_raw(path, BUNDLE)]
     robots = sorted({named.name.robot_id for named in found})
     wanted = robot_id or (robots[0] if len(robots) == 1 else '')

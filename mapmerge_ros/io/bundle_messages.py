@@ -44,6 +44,8 @@ class NamedBundle:
     bundle: Bundle
     keyframe_stamps_ns: tuple[int, ...]
     """one per key frame of `bundle`"""
+    undetermined: int = 0
+    """Points of the message that are left out because they have no parallax"""
 
 
 def bundle_from_message(msg: Any) -> NamedBundle:
@@ -60,23 +62,42 @@ def bundle_from_message(msg: Any) -> NamedBundle:
     """
     with refusing('bundle', msg.map_id):
         fields.check_size(fields.array_bytes(msg, _ARRAYS))
-        if not fields.text(msg, 'map_id'):
-            raise InvalidValue('map_id: empty')
-        bundle, kept = _raw_bundle(msg).pruned()
+        name = _name(msg)
+        pruned = _raw_bundle(msg).pruned()
         if len(msg.keyframe_stamps) != len(msg.keyframe_ids):
             raise InvalidValue(
                 f'keyframe_stamps: {len(msg.keyframe_stamps)} for {len(msg.keyframe_ids)} ids'
             )
         stamps = [fields.stamp_ns(stamp, 'keyframe_stamps') for stamp in msg.keyframe_stamps]
-        name = MapName(
-            map_id=fields.text(msg, 'map_id'),
-            robot_id=fields.text(msg, 'robot_id'),
-            revision=int(msg.revision),
-            stamp_ns=fields.stamp_ns(msg.header.stamp),
-            frame_id=fields.text(msg.header, 'frame_id'),
-            id_space=fields.text(msg, 'id_space'),
-        )
-        return NamedBundle(name, bundle, tuple(stamps[row] for row in kept))
+        kept = tuple(stamps[row] for row in pruned.keyframe_rows)
+        return NamedBundle(name, pruned.bundle, kept, pruned.undetermined)
+
+
+def name_from_message(msg: Any) -> MapName:
+    """
+    Name of a bundle's message.
+
+    Raises
+    ------
+    InvalidMessage
+        A field of it breaks the contract of the message.
+
+    """
+    with refusing('bundle', msg.map_id):
+        return _name(msg)
+
+
+def _name(msg: Any) -> MapName:
+    if not fields.text(msg, 'map_id'):
+        raise InvalidValue('map_id: empty')
+    return MapName(
+        map_id=fields.text(msg, 'map_id'),
+        robot_id=fields.text(msg, 'robot_id'),
+        revision=int(msg.revision),
+        stamp_ns=fields.stamp_ns(msg.header.stamp),
+        frame_id=fields.text(msg.header, 'frame_id'),
+        id_space=fields.text(msg, 'id_space'),
+    )
 
 
 def _raw_bundle(msg: Any) -> RawBundle:

@@ -8,7 +8,13 @@ from typing import Any
 
 from rosbags.serde import SerdeError
 
-from mapmerge_ros.io.bundle_messages import NamedBundle, bundle_from_message, bundle_to_message
+from mapmerge_ros.bundle import MapName
+from mapmerge_ros.io.bundle_messages import (
+    NamedBundle,
+    bundle_from_message,
+    bundle_to_message,
+    name_from_message,
+)
 from mapmerge_ros.io.fields import InvalidMessage, check_size, refusing
 from mapmerge_ros.io.messages import submap_from_message, submap_to_message
 from mapmerge_ros.io.request_messages import request_from_message, request_to_message
@@ -75,6 +81,19 @@ def decode_bundle(raw: bytes | memoryview) -> NamedBundle:
 
     """
     return bundle_from_message(deserialise(raw, BUNDLE))
+
+
+def decode_bundle_name(raw: bytes | memoryview) -> MapName:
+    """
+    Return only the name of a bundle, which takes no time: arrays are not looked at.
+
+    Raises
+    ------
+    InvalidMessage
+        The bytes are not a bundle, or its name is none.
+
+    """
+    return name_from_message(deserialise(raw, BUNDLE))
 
 
 def encode_request(request: Request, stamp_ns: int) -> bytes:

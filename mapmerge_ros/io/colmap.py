@@ -15,7 +15,7 @@ from mapmerge_ros.errors import InvalidValue, MapMergeError
 from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.io.colmap_files import ModelError, check_files
 from mapmerge_ros.io.descriptor_file import load_descriptors
-from mapmerge_ros.io.raw_bundle import RawBundle
+from mapmerge_ros.io.raw_bundle import Pruned, RawBundle
 from mapmerge_ros.io.undistortion import undistorted
 
 
@@ -31,6 +31,21 @@ def load_colmap(folder: str | Path, gauge: Gauge = Gauge.SIMILARITY) -> Bundle:
     length becomes an ideal pinhole of the same focal length and principal point; observations
     are undistorted, see `undistortion`. `descriptors.npz` beside the files is optional, see
     `load_descriptors`. What nothing determines is left out, see `RawBundle.pruned`.
+
+    Raises
+    ------
+    ModelError
+        The folder does not hold a readable model with points.
+    MissingExtraError
+        pycolmap is not installed.
+
+    """
+    return read_colmap(folder, gauge).bundle
+
+
+def read_colmap(folder: str | Path, gauge: Gauge = Gauge.SIMILARITY) -> Pruned:
+    """
+    Like `load_colmap`, with what was left out.
 
     Raises
     ------
@@ -68,7 +83,7 @@ def load_colmap(folder: str | Path, gauge: Gauge = Gauge.SIMILARITY) -> Bundle:
         gauge=gauge,
     )
     try:
-        return raw.pruned()[0]
+        return raw.pruned()
     except InvalidValue as err:
         raise ModelError(f'{folder}: {err}') from err
 

@@ -42,6 +42,11 @@ def belief(verdict: Verdict) -> str:
     return f'The test believes it: {price} (p = {verdict.p_value:.2g}).'
 
 
+def without_parallax(count: int) -> str:
+    """Say how many landmarks of a bundle nothing determines."""
+    return f'{counted(count, "landmark")} left out: no parallax says how far'
+
+
 def what_moved(fusion: Fusion) -> str:
     """Say what was found to be elsewhere; empty if nothing was."""
     taken_out = [change for change in fusion.changes if not change.merged]

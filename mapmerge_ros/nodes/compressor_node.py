@@ -17,12 +17,20 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from mapmerge_ros.io import InvalidMessage, NamedBundle, decode_request, load_bundles
+from mapmerge_ros.bundle import MapName
+from mapmerge_ros.io import (
+    InvalidMessage,
+    NamedBundle,
+    decode_bundle_name,
+    decode_request,
+    load_bundles,
+)
+from mapmerge_ros.io.wording import without_parallax
 from mapmerge_ros.nodes.compressor_parameters import SETTINGS, declare_settings
 from mapmerge_ros.nodes.corrections import Corrections
 from mapmerge_ros.nodes.outbox import Outbox
 from mapmerge_ros.nodes.own_map import Done, OwnMap, Response
-from mapmerge_ros.nodes.own_maps import OwnMaps
+from mapmerge_ros.nodes.own_maps import OwnMaps, is_newer
 from mapmerge_ros.nodes.process import run_node
 from mapmerge_ros.nodes.quality import BUNDLE_PROFILE, LATCHED_PROFILE, REQUESTS_PROFILE
 from mapmerge_ros.nodes.way_back import STEP_RATIO, Corrected
@@ -54,16 +62,18 @@ class CompressorNode(Node):  # type: ignore[misc]
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._corrections = Corrections(self)
         self._rounds_left: dict[str, int] = {}
-        self._bundles = 0
-        """Heard so far"""
+        self._waiting: dict[str, MapName] = {}
+        """Of each map, the bundle that was put last into the tasks"""
         self._tasks: dict[str, Callable[[], Then]] = {}
+        self._running = ''
+        """Name of the task that was started last"""
         wake = self.create_guard_condition(self._on_wake)
         self._worker: Worker[Callable[[], Then], Then] = Worker(lambda task: task(), wake.trigger)
         if settings.bundle:
             for named in load_bundles(
                 settings.bundle, settings.robot_id, settings.id_space, settings.gauge
             ):
-                self._announced(self._maps.prepare(named))
+                self._take(self._maps.prepare(named))
         self._listen()
 
     def close(self) -> None:
@@ -97,9 +107,19 @@ class CompressorNode(Node):  # type: ignore[misc]
         self._outbox.flush(self._now_s)
 
     def _on_bundle(self, raw: bytes) -> None:
+        try:
+            name = decode_bundle_name(raw)
+        except InvalidMessage as err:
+            self.get_logger().warning(f'refused: {err}')
+            return
+        task, waiting = f'bundle of {name.map_id}', self._waiting.get(name.map_id)
+        # Only the newest one counts that waits: a SLAM may be faster than this robot compresses.
+        is_overtaken = task in self._tasks and waiting and not is_newer(name, waiting)
+        if is_overtaken or not self._maps.wants(name):
+            return
+        self._waiting[name.map_id] = name
         # Decoding and announcing a large bundle takes seconds.
-        self._bundles += 1
-        self._later(f'bundle {self._bundles}', lambda: self._new_bundle(raw))
+        self._later(task, lambda: self._new_bundle(raw))
 
     def _new_bundle(self, raw: bytes) -> Then:
         try:
@@ -108,14 +128,31 @@ class CompressorNode(Node):  # type: ignore[misc]
         except InvalidMessage as err:
             reason = str(err)
             return lambda: self.get_logger().warning(f'refused: {reason}')
-        return (lambda: self._announced(prepared)) if prepared else (lambda: None)
+        return (lambda: self._take(prepared)) if prepared else (lambda: None)
 
-    def _announced(self, own: OwnMap) -> None:
-        map_id = self._maps.take(own)
-        self._rounds_left[map_id] = 0
+    def _take(self, own: OwnMap) -> None:
+        self._warn_of(own)
+        map_id, log = self._maps.take(own), self.get_logger()
+        self._rounds_left[map_id] = self._settings.relinearise_rounds if own.asked else 0
         self._send(map_id)
-        count = len(own.announced.landmark_ids)
-        self.get_logger().info(f'announced {count} landmarks of {map_id}')
+        if own.asked:
+            self._tell_sent(own)
+        else:
+            log.info(f'announced {len(own.announced.landmark_ids)} landmarks of {map_id}')
+
+    def _warn_of(self, own: OwnMap) -> None:
+        """Say once what is wrong with the bundles of a map, not with each of them."""
+        map_id, log = own.announced.map_id, self.get_logger()
+        before = self._maps.get(map_id)
+        count = own.named.undetermined
+        if count and (before is None or before.named.undetermined != count):
+            log.warning(f'{map_id}: {without_parallax(count)}')
+        if own.bare_reason and (before is None or before.bare_reason != own.bare_reason):
+            log.warning(f'{map_id}: cannot compress what was asked for: {own.bare_reason}')
+
+    def _tell_sent(self, own: OwnMap) -> None:
+        count, map_id, size = own.compressed_count, own.announced.map_id, len(own.raw)
+        self.get_logger().info(f'sent {count} compressed landmarks of {map_id}, {size} bytes')
 
     def _on_request(self, raw: bytes) -> None:
         try:
@@ -137,7 +174,7 @@ class CompressorNode(Node):  # type: ignore[misc]
         response, map_id = own.respond(request), request.map_id
         self.get_logger().debug(f'{map_id}, revision {request.revision}: {response.value}')
         if response is Response.COMPRESS:  # a newer one takes the place of an older
-            self._later(f'answer {map_id}', lambda: self._answer(request))
+            self._later(f'answer of {map_id}', lambda: self._answer(request))
         elif response is Response.REANNOUNCE:
             own.reannounce(request.revision)
             self._send(map_id)
@@ -149,15 +186,19 @@ class CompressorNode(Node):  # type: ignore[misc]
         return lambda: self._finish(done, self._settings.relinearise_rounds)
 
     def _on_global_map(self, raw: bytes) -> None:
-        self._later('correct', lambda: self._correct(raw, False))
+        self._later(self._correction, lambda: self._correct(raw, False))
 
     def _on_relinearise(self, request: Any, response: Any) -> Any:
         raw = self._maps.global_map
         response.success = raw is not None
         response.message = 'no global map has arrived yet' if raw is None else 'will be sent'
         if raw is not None:
-            self._later('correct', lambda: self._correct(raw, True))
+            self._later(self._correction, lambda: self._correct(raw, True))
         return response
+
+    @property
+    def _correction(self) -> str:
+        return f'correction of {", ".join(self._maps)}'
 
     def _correct(self, raw: bytes, is_asked: bool) -> Then:
         try:
@@ -203,8 +244,7 @@ class CompressorNode(Node):  # type: ignore[misc]
         elif self._maps[map_id].finish(done):
             self._rounds_left[map_id] = max(rounds_left, 0)
             self._send(map_id)
-            count = found.submap.compressed_count
-            log.info(f'sent {count} compressed landmarks of {map_id}, {len(done.raw)} bytes')
+            self._tell_sent(self._maps[map_id])
 
     def _later(self, name: str, task: Callable[[], Then]) -> None:
         """Do this apart from the node's thread; it takes the place of one of its name."""
@@ -213,14 +253,15 @@ class CompressorNode(Node):  # type: ignore[misc]
 
     def _start(self) -> None:
         if self._tasks and not self._worker.busy:
-            self._worker.start(self._tasks.pop(next(iter(self._tasks))))
+            self._running = next(iter(self._tasks))
+            self._worker.start(self._tasks.pop(self._running))
 
     def _on_wake(self) -> None:
         result: Result[Then] | None = self._worker.take()
         if result is None:
             return
         if result.product is None:
-            self.get_logger().error(f'failed: {result.error}\n{result.trace}')
+            self.get_logger().error(f'{self._running} failed: {result.error}\n{result.trace}')
         else:
             result.product()
         self._start()

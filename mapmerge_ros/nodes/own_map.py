@@ -33,7 +33,7 @@ class Response(Enum):
     REANNOUNCE = 'reannounce'
     """An earlier life of this robot got further: the fusion side takes nothing older"""
     OUTDATED = 'outdated'
-    """It is about a catalogue of an earlier life"""
+    """It is about a catalogue of an earlier life, whose ids may mean other points"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,10 +64,32 @@ class OwnMap:
         """As the robot made it"""
         self._bundle = named.bundle
         self._announced = announce(named.bundle, replace(named.name, revision=revision))
-        self._first = self._newest = revision
+        self._newest = self._first_of_bundle = revision
+        self._first = revision
+        """Since when ids mean the same points"""
         self._answered: Request | None = None
+        self._wish: Request | None = None
+        """The last request that was answered from this bundle, or from an earlier one"""
+        self.compressed_count = 0
+        """Landmarks of the newest revision that R is about"""
+        self.bare_reason = ''
+        """Why it cannot be compressed to what was asked of an earlier bundle; empty: it can"""
         self.raw = encode_submap(self._announced)
         """The newest revision, as it was sent"""
+
+    def carry_on(self, earlier: OwnMap) -> None:
+        """
+        Take over what was asked of an earlier bundle of this map, and answer it; takes long.
+
+        A bare announcement would put the robot out of the global map until it is asked again,
+        and a SLAM that sends a bundle every second would never come back in.
+        """
+        self._first, self._wish = earlier._first, earlier._wish
+        if self._wish is None:
+            return
+        done = work(self.job(self._wish))
+        self.bare_reason = done.answer.reason
+        self.finish(done)
 
     @property
     def bundle(self) -> Bundle:
@@ -108,14 +130,15 @@ class OwnMap:
 
     def start_at(self, revision: int) -> None:
         """Announce as this revision, and forget what was asked before."""
-        self._first = self._newest = min(revision, MAX_REVISION)
+        self._first = self._first_of_bundle = self._newest = min(revision, MAX_REVISION)
         self._announced = reannounce(self._announced, self._newest)
-        self._answered = None
+        self._answered = self._wish = None
+        self.compressed_count = 0
         self.raw = encode_submap(self._announced)
 
     def sent(self, revision: int) -> bool:
         """Whether a revision is of this bundle."""
-        return self._first <= revision <= self._newest
+        return self._first_of_bundle <= revision <= self._newest
 
     def job(self, request: Request, bundle: Bundle | None = None) -> Job:
         """
@@ -129,7 +152,9 @@ class OwnMap:
         """Take the outcome of a job; whether there is a new revision to send."""
         if done.answer.submap is None or done.job.revision != self._newest + 1:
             return False
-        self._newest, self._answered, self.raw = done.job.revision, done.job.request, done.raw
+        self._newest, self.raw = done.job.revision, done.raw
+        self._answered = self._wish = done.job.request
+        self.compressed_count = done.answer.submap.compressed_count
         self._bundle = done.job.bundle
         return True
 

@@ -4,11 +4,25 @@
 
 from __future__ import annotations
 
-from mapmerge_ros.errors import DegenerateGeometry
-from mapmerge_ros.io import NamedBundle, decode_bundle, decode_submap
+from collections.abc import Iterator
+
+from mapmerge_ros.bundle import MapName
+from mapmerge_ros.errors import DegenerateGeometry, InvalidValue
+from mapmerge_ros.io import (
+    InvalidMessage,
+    NamedBundle,
+    decode_bundle,
+    decode_bundle_name,
+    decode_submap,
+)
 from mapmerge_ros.nodes.own_map import Done, OwnMap, work
 from mapmerge_ros.nodes.way_back import Corrected, correct
 from mapmerge_ros.submap import Request
+
+
+def is_newer(new: MapName, old: MapName) -> bool:
+    """As with sub-maps: a SLAM that was restarted counts anew, and has seen more."""
+    return new.revision > old.revision or new.stamp_ns > old.stamp_ns
 
 
 class OwnMaps:
@@ -30,6 +44,9 @@ class OwnMaps:
     def __getitem__(self, map_id: str) -> OwnMap:
         return self._maps[map_id]
 
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._maps)
+
     def get(self, map_id: str) -> OwnMap | None:
         """Return a map, None if it is not of this robot."""
         return self._maps.get(map_id)
@@ -44,20 +61,41 @@ class OwnMaps:
             What is wrong with it.
 
         """
-        named = decode_bundle(raw)
-        if self._robot_id not in ('', named.name.robot_id):
-            return None
-        known = self._maps.get(named.name.map_id)
-        if known is None:
-            return named
-        old, new = known.named.name, named.name
-        # As with sub-maps: a SLAM that was restarted counts anew, and has seen more.
-        is_newer = new.revision > old.revision or new.stamp_ns > old.stamp_ns
-        return named if is_newer else None
+        # Most of what is not wanted came on both topics: its name says so at no cost.
+        return decode_bundle(raw) if self.wants(decode_bundle_name(raw)) else None
+
+    def wants(self, name: MapName) -> bool:
+        """Whether a bundle of this name is of this robot, and newer than what is known."""
+        if self._robot_id not in ('', name.robot_id):
+            return False
+        known = self._maps.get(name.map_id)
+        return known is None or is_newer(name, known.named.name)
 
     def prepare(self, named: NamedBundle) -> OwnMap:
-        """Announce a bundle, above every revision that is known."""
-        return OwnMap(named, max(self._first_revision, named.name.revision))
+        """
+        Make the next revision of a bundle, above all that are known.
+
+        It is compressed to what was asked of the bundle before it, and bare where nothing was,
+        or where too little of that is left.
+
+        Raises
+        ------
+        InvalidMessage
+            Its numbers cannot be computed with.
+
+        """
+        name = named.name
+        revision, known = max(self._first_revision, name.revision), self._maps.get(name.map_id)
+        if known is not None:
+            revision = max(revision, known.newest + 1)
+        try:
+            own = OwnMap(named, revision)
+            # A SLAM that counts anew may well have given the ids to other points.
+            if known is not None and name.revision > known.named.name.revision:
+                own.carry_on(known)
+        except (InvalidValue, DegenerateGeometry) as err:
+            raise InvalidMessage(f'bundle {name.map_id!r}: {err}') from err
+        return own
 
     def take(self, own: OwnMap) -> str:
         """Put a map in the place of an older one; its name."""
