@@ -56,11 +56,16 @@ def load(folder: Path, *, all_tracks: bool) -> tuple[list[Bundle], list[np.ndarr
     return [with_lens_prior(bundle, prior) for bundle in bundles], list(shared)
 
 
-def draw(bundles: Sequence[Bundle], shared: Sequence[np.ndarray], seed: int) -> list[SubMap]:
+def draw(
+    bundles: Sequence[Bundle],
+    shared: Sequence[np.ndarray],
+    seed: int,
+    landmarks: int = LANDMARKS,
+) -> list[SubMap]:
     """Compress each session to what it has of a random draw of common landmarks."""
     ids, counts = np.unique(np.concatenate(shared), return_counts=True)
     ids = ids[(counts > 1) & (ids < FIRST_PRIVATE_ID)]
-    count = min(LANDMARKS, int(LARGEST_SHARE * len(ids)))
+    count = min(landmarks, int(LARGEST_SHARE * len(ids)))
     chosen = np.random.default_rng(seed).choice(ids, count, replace=False)
     return [
         compress(

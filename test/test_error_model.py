@@ -8,6 +8,7 @@ import scipy.linalg
 import scipy.stats
 from gaussian_merges import draw, merged, noise, scene
 
+from mapmerge_ros.distributions import chi2_tail
 from mapmerge_ros.fusion.contrasts import contrasts, matern
 from mapmerge_ros.fusion.covariance_model import COARSE_CONTRASTS, TEXTBOOK, fit_model
 from mapmerge_ros.fusion.honest import MAX_CONTRASTS, examine
@@ -258,3 +259,25 @@ def test_variances_go_where_they_are_best_given_those_that_are_stopped(seed):
     inside = (following > 0.1 * variances + 1e-9) & (following < limit - 1e-9)
     left = gradient - information @ (following - variances)
     np.testing.assert_allclose(left[inside], 0.0, atol=1e-6 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize('landmarks', [10, 30])
+def test_two_maps_with_few_landmarks_may_be_as_wrong_as_honest_maps_are(landmarks):
+    """Variances twice what is claimed are plausible, and 36 times are not."""
+    plausible = [few(seed, landmarks, np.sqrt(2.0)) for seed in range(20)]
+    assert sum(chi2_tail(merge.price, merge.dof) < 0.01 for merge in plausible) >= 5
+    assert sum(believed(merge) for merge in plausible) >= 17
+    assert not any(believed(few(seed, landmarks, 6.0)) for seed in range(20))
+    assert sum(believed(few(seed, landmarks, 1.0)) for seed in range(20)) >= 19
+
+
+def few(seed, landmarks, factor):
+    """Two maps with errors `factor` times what they claim."""
+    rng = np.random.default_rng([seed, landmarks])
+    points, members, matrices = scene(rng, maps=2, landmarks=landmarks, views=(2, 2))
+    return merged(points, members, matrices, factor * noise(rng, points, members, matrices))
+
+
+def believed(merge):
+    found = examine(merge, np.inf, certain=True)
+    return min(found.p_value, found.p_objects) >= 0.01 and not found.objects

@@ -10,7 +10,14 @@ from gaussian_merges import draw
 
 from mapmerge_ros.fusion.contrasts import contrasts
 from mapmerge_ros.fusion.honest import MAX_CONTRASTS
-from mapmerge_ros.fusion.likelihood import derivatives, log_likelihood, weigh
+from mapmerge_ros.fusion.likelihood import (
+    LOG_PHI_STD,
+    USUAL_PHI,
+    derivatives,
+    log_likelihood,
+    weigh,
+    with_usual_phi,
+)
 from mapmerge_ros.geometry import Gauge
 
 NOBODY = np.zeros(0, np.int64)
@@ -25,6 +32,16 @@ def test_the_gradient_of_the_likelihood_is_right():
         slope = (ahead.log_likelihood - back.log_likelihood) / 2e-4
         np.testing.assert_allclose(gradient[k], slope, rtol=1e-4)
     assert (np.linalg.eigvalsh(information) > 0.0).all()
+
+
+def test_what_is_known_of_phi_is_a_gaussian_of_its_logarithm():
+    law = scipy.stats.norm(np.log(USUAL_PHI), LOG_PHI_STD)
+    for phi in (0.1, 0.6, 2.5):
+        gradient, information = with_usual_phi(np.array([phi, 0.3, 0.1]), np.ones(3), np.eye(3))
+        ahead, back = (law.logpdf(np.log(phi + step)) for step in (1e-6, -1e-6))
+        np.testing.assert_allclose(gradient, [1.0 + (ahead - back) / 2e-6, 1.0, 1.0], rtol=1e-6)
+        np.testing.assert_allclose(information[0, 0], 1.0 + 1.0 / (LOG_PHI_STD * phi) ** 2)
+        np.testing.assert_array_equal(information[1:], np.eye(3)[1:])
 
 
 @pytest.mark.parametrize('gauge', [Gauge.SIMILARITY, Gauge.NONE])

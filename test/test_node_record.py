@@ -53,8 +53,7 @@ def test_what_was_said_is_recorded_what_was_latched_before_too(
         results = [f'/fusion_node/{name}' for name in ('alignments', 'global_map', 'status')]
         spin_until([observer], lambda: all(x in words() for x in results), 'results')
     finally:
-        # As Ctrl-C in a terminal does: the whole group hears it.
-        os.killpg(recorder.pid, signal.SIGINT)
+        recorder.send_signal(signal.SIGINT)  # to this process alone, as a supervisor does
         assert recorder.wait(20) == 0, words()
         log.close()
     assert 'messages of' in words()

@@ -162,7 +162,8 @@ def test_many_culprits_take_few_merges(submaps):
         left = tuple(k for k in group if k not in culprits)
         return [(left, merged_group(left))]
 
-    found = Search(group, merged_group(group), merge_without, lambda part: True).culprits()
+    search = Search(group, merged_group(group), merge_without, lambda part: True, lambda part: 0)
+    found = search.culprits()
     assert set(found.without) == wrong
     assert len(tried) <= 14
 

@@ -50,6 +50,22 @@ def test_three_rounds_reach_the_full_bundle():
     assert np.abs(moved - gold).max() < 1e-3 * np.median(landmarks.std)
 
 
+def test_ids_that_contradict_are_told_after_every_round():
+    """They are not compressed again: later rounds by themselves would know nothing of them."""
+    fleet = simulate_fleet(FleetConfig(), 3)
+    robots = robots_of(fleet)
+    wrong = robots[1]
+    ids = wrong.bundle.point_ids.copy()
+    rows = np.flatnonzero(np.isin(ids, wrong.landmark_ids))[::9]
+    ids[rows] = np.roll(ids[rows], 1)
+    bundle = replace(wrong.bundle, point_ids=ids)
+    robots[1] = Robot(wrong.name, bundle, wrong.landmark_ids)
+    _, rounds = refine(robots, 2)
+    first, second = (set(each.fusion.contradictions) for each in rounds)
+    assert first
+    assert first <= second
+
+
 @pytest.mark.parametrize('gauge', [Gauge.RIGID, Gauge.YAW_TRANSLATION])
 def test_metric_robots_converge_and_remember_what_their_prior_said(gauge):
     fleet = simulate_fleet(FleetConfig(sensing=Sensing(gauge=gauge)), 4)

@@ -206,7 +206,8 @@ def test_ids_far_apart_are_not_called_unmoved(fusion: Fusion) -> None:
 @pytest.mark.parametrize(
     ('p_value', 'words'),
     [
-        (1.0, '100 times in a hundred'),
+        (1.0, 'nearly always'),
+        (0.5, '50 times in a hundred'),
         (0.02, '2 times in a hundred'),
         (0.001, '1 time in a thousand'),
         (2e-6, '2 times in a million'),

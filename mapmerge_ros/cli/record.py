@@ -63,13 +63,14 @@ def run(args: argparse.Namespace) -> int:
         'use_sim_time': args.use_sim_time,
     }
     parameters = [x for key, value in values.items() for x in ('-p', f'{key}:={_yaml(value)}')]
-    process = subprocess.Popen([sys.executable, '-m', NODE, '--ros-args', *parameters])
-    signal.signal(signal.SIGTERM, lambda number, frame: process.send_signal(number))
-    while True:
-        try:
-            return process.wait()
-        except KeyboardInterrupt:  # the node has had it too, and writes its index
-            continue
+    # In a session of its own: who interrupts only this process, by its id, ends the node as well,
+    # and Ctrl-C in a terminal does not reach it twice.
+    process = subprocess.Popen(
+        [sys.executable, '-m', NODE, '--ros-args', *parameters], start_new_session=True
+    )
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, frame: process.send_signal(signal.SIGINT))
+    return process.wait()
 
 
 def _yaml(value: object) -> str:

@@ -16,7 +16,14 @@ import numpy as np
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.contrasts import Contrasts
 from mapmerge_ros.fusion.element import coordinates
-from mapmerge_ros.fusion.likelihood import Weighing, derivatives, log_likelihood, step, weigh
+from mapmerge_ros.fusion.likelihood import (
+    Weighing,
+    derivatives,
+    log_likelihood,
+    step,
+    weigh,
+    with_usual_phi,
+)
 from mapmerge_ros.fusion.local import Sensitivity
 from mapmerge_ros.fusion.quadratic import Quadratic
 from mapmerge_ros.fusion.tails import Tails, fit_tails
@@ -225,7 +232,8 @@ def _iterate(
         before = aside
         aside, _ = trimmed(blind, weighing, aside, moved)
         without = weighing.unlocked(blind, aside)
-        following = step(variances, *derivatives(blind, without), highest)
+        slopes = with_usual_phi(variances, *derivatives(blind, without))
+        following = step(variances, *slopes, highest)
         change = np.abs(following - variances).max() / following.sum()
         variances = following
         if change < SETTLED and np.array_equal(before, aside):

@@ -105,7 +105,10 @@ def _without_wrong_maps(
     def certain(part: Group) -> bool:
         return is_certain(_within(part, problem.links), len(part))
 
-    trial = Search(group, whole, merge_without, certain).culprits()
+    def contradictions(part: Group) -> int:
+        return sum(len(link.contradicting) for link in _within(part, problem.links))
+
+    trial = Search(group, whole, merge_without, certain, contradictions).culprits()
     if trial is None:
         return [(group, whole)], []
     return trial.parts, refusals(trial, problem.submaps, problem.association)

@@ -24,7 +24,7 @@ from mapmerge_ros.fusion.contrasts import (
 )
 from mapmerge_ros.fusion.covariance_model import TEXTBOOK, fit_model
 from mapmerge_ros.fusion.element import coordinates
-from mapmerge_ros.fusion.honest import MAX_CONTRASTS, MIN_CONTRASTS, MIN_GAIN
+from mapmerge_ros.fusion.honest import MANY_CONTRASTS, MAX_CONTRASTS, MIN_GAIN
 from mapmerge_ros.fusion.likelihood import Weighing, weigh
 from mapmerge_ros.fusion.plausible import largest_variances
 from mapmerge_ros.fusion.quadratic import Quadratic
@@ -136,7 +136,7 @@ def without_map(data: Contrasts, part: slice) -> Contrasts:
 def _alone(merge: Quadratic, data: Contrasts, k: int) -> MapTest | None:
     """Test of sub-map k under variances that are fitted to the others; theirs must be enough."""
     rest = without_map(data, merge.members.of_map(k))
-    if len(rest.tracks) < MIN_CONTRASTS:
+    if len(rest.tracks) < MANY_CONTRASTS:
         return None
     fitted = fit_model(rest, largest_variances(data), NOBODY)
     variances = fitted.model.variances if fitted.gain >= MIN_GAIN else TEXTBOOK

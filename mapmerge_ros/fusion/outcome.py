@@ -136,7 +136,11 @@ class Landmarks:
     points_global: Floats
     """(n, 3)"""
     std: Floats
-    """(n, 3) global map units, in the gauge without preferred landmark; nan = unknown"""
+    """
+    (n, 3) global map units, in the gauge without preferred landmark; nan = unknown
+
+    Where the verdict needed other errors than noise, with them.
+    """
     member_rows: Ints
     """(members,) row of the landmark, ascending"""
     member_maps: tuple[str, ...]

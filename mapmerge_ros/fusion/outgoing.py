@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mapmerge_ros.arrays import Floats, Ids
+from mapmerge_ros.arrays import Floats, Ids, Ints
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.compress import Normal, most_useful
 from mapmerge_ros.fusion.config import FusionConfig
@@ -18,10 +18,10 @@ from mapmerge_ros.fusion.joint.factor import Factor
 from mapmerge_ros.fusion.joint.knowledge import Knowledge, knowledge
 from mapmerge_ros.fusion.names import Names, name_landmarks
 from mapmerge_ros.fusion.noise import Noise
-from mapmerge_ros.fusion.outcome import Component, Landmarks, Verdict
+from mapmerge_ros.fusion.outcome import Component, ErrorModel, Landmarks, Verdict
 from mapmerge_ros.fusion.solution import Anchor, Solution
 from mapmerge_ros.fusion.tracks import Catalogue, build_catalogue
-from mapmerge_ros.geometry import Similarity
+from mapmerge_ros.geometry import Similarity, scene_radius
 from mapmerge_ros.submap import Source, SubMap, most_within, pack
 from mapmerge_ros.submap.size import head_bytes, landmark_bytes
 
@@ -88,7 +88,9 @@ def compress_component(
             config,
             revision,
         ),
-        landmarks=_landmarks(submaps, association, names, solution.state.points, known),
+        landmarks=_landmarks(
+            submaps, association, names, solution.state.points, known, verdict.errors
+        ),
         verdict=verdict,
         iterations=solution.estimate.iterations,
         converged=solution.estimate.converged,
@@ -123,6 +125,7 @@ def _landmarks(
     names: Names,
     points: Floats,
     known: Knowledge,
+    errors: ErrorModel | None,
 ) -> Landmarks:
     rows = np.concatenate(association.tracks)
     order = np.argsort(rows, kind='stable')
@@ -134,11 +137,26 @@ def _landmarks(
     return Landmarks(
         ids=names.of_tracks(association)[is_named],
         points_global=points[is_named],
-        std=known.std[is_named],
+        std=_honest(known.std, points, association.views, errors)[is_named],
         member_rows=slots[rows[order]],
         member_maps=tuple(maps[int(k)] for k in order),
         member_ids=member_ids[order],
     )
+
+
+def _honest(std: Floats, points: Floats, views: Ints, errors: ErrorModel | None) -> Floats:
+    """
+    Standard deviations (n, 3) with the errors that the maps have besides noise.
+
+    Each sub-map of a landmark is off by a floor and a warp of its own; what its frame takes of the
+    warp is not given back. Noise below what is claimed is not believed, for tracks are not alike.
+    """
+    if errors is None:
+        return std
+    radius = scene_radius(points[views > 1])
+    other = radius**2 * (errors.tau_ratio**2 + errors.omega_ratio**2) / np.maximum(views, 1)
+    honest: Floats = np.sqrt(max(errors.phi, 1.0) * std**2 + other[:, None])
+    return honest
 
 
 def _global_submap(

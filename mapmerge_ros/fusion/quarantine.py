@@ -42,7 +42,7 @@ MIN_RATIO = 2.0
 
 PRICE_OF_A_CHANGE = 30.0
 """
-χ² that a landmark counts for that had to be taken out for the rest to be believed.
+χ² that a landmark counts for that had to be taken out, or parted, for the rest to be believed.
 
 Without an innocent sub-map fewer are left to contradict the culprit; what is wrong with it is then
 taken out landmark by landmark.
@@ -92,6 +92,8 @@ class Search:
     """Merge what is left of the group; none: it fails"""
     is_certain: Callable[[Group], bool]
     """Whether the geometry of sub-maps is: else a refusal may be about a wrong basin"""
+    contradictions: Callable[[Group], int]
+    """Landmarks that were parted before sub-maps were merged, since pairs of them contradict"""
 
     def culprits(self) -> Trial | None:
         """Fewest sub-maps without which most of the others are believed; None: nobody can tell."""
@@ -142,7 +144,9 @@ class Search:
         statistic = max(price, 0.0) / noise
         p_value = float(chi2_tail(statistic, max(dof, 1)))
         left = sum(each.a_tilde / verdict.sigma**2 - each.dof for each in rest)
-        left += PRICE_OF_A_CHANGE * sum(len(part.component.changes) for _, part in parts)
+        left += PRICE_OF_A_CHANGE * sum(
+            len(part.component.changes) + self.contradictions(group) for group, part in parts
+        )
         spread = 2.0 * float(np.sqrt(2.0 * sum(each.dof for each in rest)))
         return Trial(culprits, parts, statistic / max(dof, 1), p_value, left, spread)
 

@@ -90,6 +90,9 @@ def refine(
     for number in range(1, rounds + 1):
         fusion = fuse([_compressed(robot, number) for robot in state.robots], config)
         _require_merge(fusion)
+        if history:  # ids that contradict are not compressed again, and stay told
+            known = (*history[-1].fusion.contradictions, *fusion.contradictions)
+            fusion = replace(fusion, contradictions=tuple(dict.fromkeys(known)))
         state, taken = _advance(state, fusion)
         history.append(Round(fusion, state.cost_px2, _step_ratio(fusion, taken), taken.share))
         if on_round:

@@ -157,7 +157,7 @@ def _why(textbook: Verdict, p_value: float, moved: int, aside: int, errors: Erro
     if moved:
         return f'{price}: {moved} landmarks moved together with their neighbours'
     return (
-        f'{price}, and no plausible error of the maps does (p {_rounded(p_value)}; noise × '
+        f'{price}, and no plausible error of the maps does (p {_rounded(p_value)}; variances × '
         f'{errors.phi:.2g}, warp {errors.omega_ratio:.2%} of the scene, {aside} landmarks aside)'
     )
 

@@ -81,6 +81,8 @@ def motion(moved: MovedTogether, gauge: Gauge, radius: float) -> str:
 
 def chance(p_value: float) -> str:
     """Say how often chance alone does as much, if nothing is wrong."""
+    if p_value > 0.95:
+        return 'nearly always'
     if p_value >= 0.01:
         return f'{counted(max(1, round(100 * p_value)), "time")} in a hundred'
     for limit, words in _PLACES:

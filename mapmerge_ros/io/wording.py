@@ -36,8 +36,8 @@ def belief(verdict: Verdict) -> str:
     price += f'{verdict.sigma:.3g} px explains'
     if verdict.errors is not None:
         price += (
-            f', as it does for maps with noise × {verdict.errors.phi:.2g} and a warp of '
-            f'{verdict.errors.omega_ratio:.2%} of the scene'
+            f', as it does for maps with {verdict.errors.phi:.2g} times the claimed variances, a '
+            f'warp of {verdict.errors.omega_ratio:.2%} of the scene, and bad tracks'
         )
     return f'The test believes it: {price} (p = {verdict.p_value:.2g}).'
 
