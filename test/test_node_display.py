@@ -23,7 +23,7 @@ from mapmerge_ros.submap import SubMap
 PointCloud2 = pytest.importorskip('sensor_msgs.msg', reason=REMEDY).PointCloud2
 visualization = pytest.importorskip('visualization_msgs.msg', reason=REMEDY)
 
-from mapmerge_ros.nodes.cloud import POINT, make_cloud, robot_colours  # noqa: E402
+from mapmerge_ros.nodes.cloud import POINT, make_cloud, pack, robot_colours  # noqa: E402
 from mapmerge_ros.nodes.frames import MISSING, TFMessage, placeable  # noqa: E402
 from mapmerge_ros.nodes.markers import axes  # noqa: E402
 
@@ -138,6 +138,20 @@ def test_what_moved_is_told_and_drawn(children: Children, observer: Observer) ->
 def small() -> tuple[SubMap, ...]:
     """Maps of one small scene: fused in no time."""
     return tuple(submap_of(0, k, 1, k) for k in range(4))
+
+
+def test_the_rounding_of_the_cloud_is_in_its_std() -> None:
+    """Two drones in UTM coordinates, known to 5 mm: in float32 they are not."""
+    rng = np.random.default_rng(0)
+    near = rng.uniform(-50.0, 50.0, (400, 3))
+    for origin in (np.zeros(3), np.array([448_262.0, 5_411_932.0, 300.0])):
+        points = origin + near
+        found = np.frombuffer(pack(points, 0, 0.005, 1).data, POINT)
+        xyz = np.column_stack([found['x'], found['y'], found['z']]).astype(np.float64)
+        errors = np.linalg.norm(xyz - points, axis=1)
+        allowed = np.sqrt(np.mean(found['std'].astype(np.float64) ** 2))
+        assert np.sqrt(np.mean(errors**2)) < 1.1 * allowed
+        assert (allowed < 0.0051) == (not origin.any())
 
 
 def test_colours_do_not_depend_on_the_order_of_arrival(small: tuple[SubMap, ...]) -> None:

@@ -70,10 +70,16 @@ class Cloud:
 
 
 def pack(points: Floats, rgb: Colours | int, std: Floats | float, views: Ints | int) -> Cloud:
-    """Cloud of points (n, 3); colour, standard deviation and sub-maps of each (n,), or of all."""
+    """
+    Cloud of points (n, 3); colour, standard deviation and sub-maps of each (n,), or of all.
+
+    Viewers take float32 only. In UTM coordinates that is a quarter of a metre, and `std` says so.
+    """
     rows = np.zeros(len(points), POINT)
     rows['x'], rows['y'], rows['z'] = points.T
-    rows['rgb'], rows['std'], rows['views'] = rgb, std, views
+    steps = np.spacing(np.abs(points).astype(np.float32)).astype(np.float64)
+    rounding = np.linalg.norm(steps, axis=1) / np.sqrt(12.0)
+    rows['rgb'], rows['std'], rows['views'] = rgb, np.hypot(std, rounding), views
     return Cloud(rows.tobytes())
 
 
