@@ -18,7 +18,7 @@ from ros_processes import FUSION, Observer, spin_for, spin_until
 from std_srvs.srv import SetBool
 
 from mapmerge_ros.cli.processes import Children
-from mapmerge_ros.fusion import FusionEngine
+from mapmerge_ros.fusion import FusionEngine, State
 from mapmerge_ros.io import BagError, read_submaps, record, write_submaps
 from mapmerge_ros.io.state import LAST_REVISION, NOTE, TOPIC, load_state, save_state
 from mapmerge_ros.submap import SubMap
@@ -142,6 +142,48 @@ def test_an_engine_goes_on_where_another_one_was(
     np.testing.assert_allclose(ours.packed_r, theirs.packed_r, rtol=1e-6, atol=1e-6)
     assert (ours.sources, ours.dof) == (theirs.sources, theirs.dof)
     assert ours.a == pytest.approx(theirs.a, rel=1e-12)
+
+
+def frames(engine: FusionEngine) -> dict[str, float]:
+    return {
+        item.submap.map_id: item.S_global_map.scale
+        for item in engine.fuse().alignments
+        if item.state is State.MERGED
+    }
+
+
+def test_the_frame_of_a_file_is_taken_over_where_nothing_is(
+    drones: tuple[SubMap, ...], tmp_path: Path
+) -> None:
+    """Also where others were merged before and have gone, or the anchor goes before any merge."""
+    file, engine = tmp_path / 'state.mcap', FusionEngine()
+    engine.add(drones[2])
+    engine.fuse()
+    for submap in drones:
+        engine.add(submap)
+    expected = frames(engine)
+    save_state(file, engine.state(), 0)
+
+    emptied = FusionEngine()
+    for submap in drones:
+        emptied.add(submap)
+    assert frames(emptied)[drones[0].map_id] != pytest.approx(expected[drones[0].map_id], rel=1e-3)
+    emptied.remove([submap.map_id for submap in drones])
+    emptied.restore(load_state(file).state)
+    assert frames(emptied) == pytest.approx(expected, rel=1e-6)
+
+    without_anchor, anchor = FusionEngine(), engine.state().anchor
+    without_anchor.restore(load_state(file).state)
+    assert anchor is not None
+    without_anchor.remove([anchor.map_id])
+    found = frames(without_anchor)
+    assert len(found) == 3
+    assert found == pytest.approx({name: expected[name] for name in found}, rel=5e-3)
+    alone = FusionEngine()
+    for submap in drones:
+        if submap.map_id != anchor.map_id:
+            alone.add(submap)
+    assert frames(alone) != pytest.approx(found, rel=5e-3)
 
 
 def test_a_state_of_a_later_version_is_refused(

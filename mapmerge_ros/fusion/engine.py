@@ -187,8 +187,9 @@ class FusionEngine:
         """
         Take in the sub-maps of a state as if they had just arrived; what came of each.
 
-        An engine that has merged nothing yet takes over the global frame too.
+        An engine that holds nothing, or has merged nothing yet, takes over the global frame too.
         """
+        is_empty = not self._store.snapshot()
         receipts = tuple(self.add(submap) for submap in state.submaps)
         taken = {
             submap.map_id
@@ -196,7 +197,8 @@ class FusionEngine:
             if receipt.accepted
         }
         self.asking.restore({name: x for name, x in state.denied.items() if name in taken})
-        self._anchor = self._anchor or state.anchor
+        if state.anchor and (is_empty or self._anchor is None):
+            self._anchor, self._frames = state.anchor, dict(state.frames)
         self._revision = max(self._revision, state.revision)
         return receipts
 

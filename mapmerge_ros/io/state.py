@@ -119,11 +119,9 @@ def _note(state: Snapshot) -> dict[str, Any]:
         'revision': state.revision,
         'anchor': None
         if anchor is None
-        else {
-            'map_id': anchor.map_id,
-            'scale': anchor.S_global_map.scale,
-            'rotation': anchor.S_global_map.rotation.tolist(),
-            'translation': anchor.S_global_map.translation.tolist(),
+        else {'map_id': anchor.map_id, **_frame(anchor.S_global_map)},
+        'frames': {
+            map_id: _frame(S_global_map) for map_id, S_global_map in sorted(state.frames.items())
         },
         'denied': {
             map_id: {'landmark_ids': denial.landmark_ids.tolist(), 'capacity': denial.capacity}
@@ -139,6 +137,8 @@ def _noted(note: dict[str, Any], submaps: Any) -> Snapshot:
         anchor=None if anchor is None else Anchor(_name(anchor['map_id']), _similarity(anchor)),
         revision=_whole('revision', note['revision'], LAST_REVISION),
         denied={map_id: _denial(item) for map_id, item in note['denied'].items()},
+        # Files of before had none: then only the anchor's robot holds the frame.
+        frames={map_id: _similarity(item) for map_id, item in note.get('frames', {}).items()},
     )
 
 
@@ -148,6 +148,14 @@ def _denial(item: dict[str, Any]) -> Denial:
         [_whole('landmark_ids', value, largest_id) for value in item['landmark_ids']], np.uint64
     )
     return Denial(ids, _whole('capacity', item['capacity'], 2**32 - 1))
+
+
+def _frame(S_global_map: Similarity) -> dict[str, Any]:
+    return {
+        'scale': S_global_map.scale,
+        'rotation': S_global_map.rotation.tolist(),
+        'translation': S_global_map.translation.tolist(),
+    }
 
 
 def _similarity(item: dict[str, Any]) -> Similarity:
