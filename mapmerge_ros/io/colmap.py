@@ -105,7 +105,10 @@ def _read(folder: Path) -> Any:
         return pycolmap.Reconstruction(folder)
     except (ValueError, IndexError, RuntimeError, TypeError, MemoryError) as err:
         reason = ' '.join(str(err).split())[:200]
-        raise ModelError(f'{folder}: not a readable COLMAP model: {reason}') from err
+        raise ModelError(
+            f'{folder}: not a readable COLMAP model: {reason}: are cameras, images and points3D '
+            'of one reconstruction?'
+        ) from err
 
 
 def _pinhole(folder: Path, camera: Any) -> list[float]:

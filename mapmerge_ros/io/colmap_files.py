@@ -59,7 +59,7 @@ def _check_structure(path: Path, parameter_count: ParameterCount) -> None:
         return  # rigs and frames: older versions have none
     except OSError as err:
         raise ModelError(f'{path}: {err.strerror}') from err
-    walk = _Walk(data, parameter_count)
+    walk = _Walk(path, data, parameter_count)
     try:
         (count,) = walk.read('<Q')
         for _ in range(count):
@@ -73,9 +73,9 @@ def _check_structure(path: Path, parameter_count: ParameterCount) -> None:
 class _Walk:
     """Steps over the records of a .bin file; a method per file name, one record each."""
 
-    def __init__(self, data: bytes, parameter_count: ParameterCount) -> None:
+    def __init__(self, path: Path, data: bytes, parameter_count: ParameterCount) -> None:
         self.at = 0
-        self._data = data
+        self._path, self._data = path, data
         self._parameter_count = parameter_count
 
     def read(self, layout: str) -> tuple[int, ...]:
@@ -90,7 +90,14 @@ class _Walk:
 
     def cameras(self) -> None:
         _, model, _, _ = self.read('<IiQQ')
-        self._skip(8 * self._parameter_count(model))
+        try:
+            count = self._parameter_count(model)
+        except ValueError as err:
+            raise ModelError(
+                f'{self._path}: truncated or damaged, or of a newer COLMAP: no camera model has '
+                f'number {model}'
+            ) from err
+        self._skip(8 * count)
 
     def images(self) -> None:
         self._skip(4 + 7 * 8 + 4)  # id, pose, camera
