@@ -10,8 +10,9 @@ J⁻¹s is the displacement, J⁻¹ its covariance, s'J⁻¹s ~ χ²(3) its test
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -42,6 +43,38 @@ class LocalTests:
     """(s, 3, 3)"""
 
 
+class Blocks(Protocol):
+    """Matrices by sub-map."""
+
+    def __len__(self) -> int:
+        """Return the number of sub-maps."""
+
+    def __getitem__(self, k: int, /) -> Floats:
+        """Return the matrix of one."""
+
+
+class Reduced:
+    """
+    Blocks less the squares of some columns, each made when somebody asks for it.
+
+    Who tests one object with eleven others unlocked looks at one sub-map of eight.
+    """
+
+    def __init__(self, before: Blocks, parts: Sequence[Floats]) -> None:
+        """`parts` (3s_k, m): the columns in the rows of each sub-map."""
+        self._before, self._parts = before, parts
+        self._made: dict[int, Floats] = {}
+
+    def __len__(self) -> int:
+        return len(self._parts)
+
+    def __getitem__(self, k: int, /) -> Floats:
+        if k not in self._made:
+            part = self._parts[k]
+            self._made[k] = self._before[k] - part @ part.T
+        return self._made[k]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensitivity:
     """How the price of merging answers to displacements of members: s and J."""
@@ -49,7 +82,7 @@ class Sensitivity:
     members: Members
     score: Floats
     """s (s, 3)"""
-    within: tuple[Floats, ...]
+    within: Blocks
     """Per sub-map its own block of J (3s_k, 3s_k)"""
     columns: Callable[[Ints], Floats]
     """Columns (3s, 3m) of J of some members (m,), all members locked"""
@@ -78,7 +111,7 @@ class Sensitivity:
     def information(self) -> Floats:
         """Blocks (s, 3, 3) of J of each member with itself."""
         blocks = []
-        for own in self.within:
+        for own in (self.within[k] for k in range(len(self.within))):
             count = len(own) // 3
             every = np.arange(count)
             blocks.append(own.reshape(count, 3, count, 3)[every, :, every, :])
@@ -116,10 +149,7 @@ class Sensitivity:
         return replace(
             self,
             score=self.score - (added @ white).reshape(-1, 3),
-            within=tuple(
-                own - part @ part.T
-                for own, part in zip(self.within, self._split(added), strict=True)
-            ),
+            within=Reduced(self.within, self._split(added)),
             price=self.price - float(white @ white),
             dof=self.dof - 3 * len(chosen),
             unlocked=unlocked,
@@ -153,7 +183,7 @@ class Sensitivity:
         return np.asarray((views[tracks] > 2) | (first[tracks] == np.arange(len(tracks))))
 
     def _split(self, rows: Floats) -> list[Floats]:
-        ends = np.cumsum([len(own) for own in self.within])[:-1]
+        ends = 3 * np.cumsum(np.bincount(self.members.maps, minlength=len(self.within)))[:-1]
         return list(np.split(rows, ends))
 
 
