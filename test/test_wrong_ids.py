@@ -138,6 +138,7 @@ def mirrored(submap, mirror):
 @pytest.mark.parametrize(('gauge', 'axis'), [(7, 0), (6, 2), (4, 2), (4, 0)])
 def test_a_mirrored_map_is_called_so(gauge, axis):
     """From above nearly flat: its pairs hardly show it, the merge does; unless up is down."""
+    pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres')
     fleet = simulate_fleet(FleetConfig(drones=4, sensing=Sensing(gauge=Gauge(gauge))), seed=4)
     submaps = fleet.submaps(catalogue=False)
     wrong = mirrored(submaps[1], np.where(np.arange(3) == axis, -1.0, 1.0))

@@ -9,6 +9,7 @@ field swallows them; they are put back under the model, or warp is called an obj
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -121,15 +122,11 @@ def examine(
     """
     plain = by_textbook(merge.price, merge.dof, redundancy)
     large = is_large(np.bincount(merge.members.maps), len(merge.points))
-    state = None if large else sensitivity(merge, redundancy)
-    gaussian = True
-    if state:
-        tests = state.tests()
-        statistics = tests.statistic[tests.distinct]
-        suspects = find_objects(state, merge.points, LEAST_STATISTIC * _usual(statistics))
-        plain = replace(plain, tests=tests, textbook_tests=tests, objects=suspects)
-        gaussian = not suspects and are_gaussian(statistics, LARGEST_TAIL)
-        plain = replace(plain, wrong_scale=wrong_scale(state, merge))
+    state, gaussian = None, True
+    if not large:
+        # A sub-map may count so little that of its landmarks only rounding is left.
+        with suppress(np.linalg.LinAlgError):
+            state, plain, gaussian = _by_landmark(merge, redundancy, plain)
     count = len(merge.members) - len(merge.points)
     # Of a few landmarks nobody can say what law they follow.
     gaussian |= count < MANY_CONTRASTS and not plain.objects
@@ -141,6 +138,24 @@ def examine(
         return replace(found, textbook_tests=plain.textbook_tests, wrong_scale=plain.wrong_scale)
     except (DegenerateGeometry, np.linalg.LinAlgError):
         return plain  # so far off that no covariance describes it
+
+
+def _by_landmark(
+    merge: Quadratic, redundancy: float, plain: Examination
+) -> tuple[Sensitivity, Examination, bool]:
+    """Tests of all landmarks by the textbook, what looks moved, and whether they are Gaussian."""
+    state = sensitivity(merge, redundancy)
+    tests = state.tests()
+    statistics = tests.statistic[tests.distinct]
+    suspects = find_objects(state, merge.points, LEAST_STATISTIC * _usual(statistics))
+    found = replace(
+        plain,
+        tests=tests,
+        textbook_tests=tests,
+        objects=suspects,
+        wrong_scale=wrong_scale(state, merge),
+    )
+    return state, found, not suspects and are_gaussian(statistics, LARGEST_TAIL)
 
 
 def is_large(landmarks: Ints, tracks: int) -> bool:
