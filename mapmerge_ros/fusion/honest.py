@@ -47,7 +47,6 @@ from mapmerge_ros.fusion.plausible import largest_variances
 from mapmerge_ros.fusion.quadratic import Quadratic
 from mapmerge_ros.fusion.scales import wrong_scale
 from mapmerge_ros.fusion.tails import GAUSSIAN, are_gaussian
-from mapmerge_ros.fusion.trimming import TRIM
 
 MIN_CONTRASTS, MAX_CONTRASTS = 4, 600
 """
@@ -73,10 +72,9 @@ BAD_LEVEL, BAD_SHARE = 1e-3, 0.01
 
 MAX_ASIDE = 0.15
 """
-Share of the landmarks that may be set aside beyond those that the tails' law has there.
+Share of the landmarks that may be set aside.
 
-EuRoC has up to 13 % in all if its bad tracks are compressed as well, Caliterra 8 %; pairs of
-Ladybug, whose law is the fattest, 22 %.
+EuRoC has up to 13 % if its bad tracks are compressed as well, Caliterra 8 %.
 """
 
 TESTED_FIRST = 0.05
@@ -243,8 +241,6 @@ def _judged(fitted: Fitted, redundancy: float) -> Examination:
         float(-np.expm1(count * np.log1p(-p_values.min(initial=0.5)))),
     )
     p_value = min(1.0, len(parts) * min(parts))
-    # A law that was fitted to few is what was known of it before.
-    by_law = fitted.model.tails.p_value(np.array([TRIM]), redundancy) * (count >= MANY_CONTRASTS)
-    if len(fitted.aside) > (MAX_ASIDE + float(by_law[0])) * count:
+    if len(fitted.aside) > MAX_ASIDE * count:
         p_value = 0.0
     return Examination(fitted.price, fitted.dof, p_value, model=fitted.model, aside=fitted.aside)
