@@ -71,7 +71,14 @@ def associate(
     """
     config = config or AssociationConfig()
     memory = Memory() if memory is None else memory
-    order = sorted(range(len(submaps)), key=lambda k: rank(submaps[k]))
+    by_descriptors = by_descriptors and bool(_described(submaps))
+    every = range(len(submaps))
+    # Ids need no order but a fixed one, and the names cost nothing.
+    order = (
+        sorted(every, key=lambda k: rank(submaps[k]))
+        if by_descriptors
+        else sorted(every, key=lambda k: submaps[k].map_id)
+    )
     found = _associate([submaps[k] for k in order], config, memory, by_descriptors)
     return found.restricted([order.index(k) for k in range(len(submaps))])
 

@@ -14,13 +14,12 @@ from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.outgoing import Merged
 from mapmerge_ros.fusion.quarantine import Trial
 from mapmerge_ros.fusion.refusal import Quarantine, Refusal
+from mapmerge_ros.fusion.wrong_ids import MIRROR
 from mapmerge_ros.geometry import Gauge, align_robustly, scene_radius
 from mapmerge_ros.submap import SubMap
 
 MOST_NAMED = 3
 """Sub-maps that are named: those that it shares most with."""
-
-MIRROR = np.array([1.0, 1.0, -1.0])
 
 MUCH_NEARER = 0.3
 """Share of its distance from which a mirrored sub-map is said to fit; one that is, has 0.12."""

@@ -63,7 +63,7 @@ class Segments:
 
     def medians(self, values: Floats) -> Floats:
         """Median (n,) of the values (rows,) of each segment."""
-        ordered = values[np.lexsort((values, self.owners))]
+        ordered = self._ordered(values)
         low = self.ends[:-1] + (self.lengths - 1) // 2
         high = self.ends[:-1] + self.lengths // 2
         medians: Floats = 0.5 * (ordered[low] + ordered[high])
@@ -71,8 +71,12 @@ class Segments:
 
     def lower_quartiles(self, values: Floats) -> Floats:
         """Value (n,) that a quarter of the values (rows,) of each segment do not exceed."""
-        ordered = values[np.lexsort((values, self.owners))]
-        return np.asarray(ordered[self.ends[:-1] + (self.lengths - 1) // 4])
+        return np.asarray(self._ordered(values)[self.ends[:-1] + (self.lengths - 1) // 4])
+
+    def _ordered(self, values: Floats) -> Floats:
+        """Values (rows,), ascending within each segment."""
+        ordered: Floats = values[np.lexsort((values, self.owners))]
+        return ordered
 
 
 @dataclass(frozen=True, slots=True, eq=False)
