@@ -72,7 +72,7 @@ def test_the_stacked_cost_is_that_of_the_elements(fleets, gauges):
 @pytest.mark.parametrize('gauges', CASES, ids=IDS)
 def test_the_fast_merge_is_the_plain_merge(fleets, gauges):
     submaps, association, elements, cost = case(fleets, gauges)
-    found, _ = at_optimum(submaps, association, cost)
+    found, state = at_optimum(submaps, association, cost)
     slots = np.cumsum(association.views > 1) - 1
     reduced = [element.reduced() for element in elements]
     reduced = [replace(element, tracks=slots[element.tracks]) for element in reduced]
@@ -81,7 +81,10 @@ def test_the_fast_merge_is_the_plain_merge(fleets, gauges):
     plain = merge(reduced, start, gauge, CONFIG)
     assert found.cost == pytest.approx(plain.cost, rel=1e-9)
     moved = align(plain.points, found.points, gauge=gauge).S_target_source.apply(found.points)
-    assert np.abs(moved - plain.points).max() < 1e-8 * np.abs(plain.points).max()
+    # Both end where the next step promises 1e-14 of the cost: 2e-6 standard deviations at most.
+    blocks = uncertainty(cost, state, gauge, 0.5).landmarks[association.views > 1]
+    stds = np.sqrt(np.einsum('nii->n', blocks))
+    assert (np.linalg.norm(moved - plain.points, axis=1) < 1e-5 * stds).all()
 
 
 @pytest.mark.parametrize('gauges', CASES, ids=IDS)

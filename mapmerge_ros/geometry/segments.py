@@ -75,7 +75,11 @@ class Segments:
 
     def _ordered(self, values: Floats) -> Floats:
         """Values (rows,), ascending within each segment."""
-        ordered: Floats = values[np.lexsort((values, self.owners))]
+        ascending = np.argsort(values)
+        # A stable sort of few bits is by radix, and takes no comparisons.
+        few = np.min_scalar_type(len(self))
+        by_segment = np.argsort(self.owners[ascending].astype(few), kind='stable')
+        ordered: Floats = values[ascending[by_segment]]
         return ordered
 
 
@@ -106,6 +110,13 @@ class Similarities:
         """Scaled rotations (n, 3, 3)."""
         linear: Floats = self.scales[:, None, None] * self.rotations
         return linear
+
+    def inverse(self) -> Similarities:
+        """S_source_target of each."""
+        backwards = self.rotations.transpose(0, 2, 1)
+        scales = 1.0 / self.scales
+        moved = (backwards @ self.translations[:, :, None])[:, :, 0]
+        return Similarities(scales, backwards, -scales[:, None] * moved)
 
     def apply(self, segments: Segments, points: Floats) -> Floats:
         """Points (rows, 3) of each source frame into its target frame."""

@@ -17,6 +17,9 @@ from mapmerge_ros.fusion.joint.fronts import Front, Fronts, Run
 LARGEST_KEPT = 2**26
 """Numbers of a factor and its leaves that are kept for the next merge: 0.25 GB, 300 drones."""
 
+PATIENCE = 3
+"""Steps before it is asked how they get on: two show a rate, and one of these may overshoot."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
@@ -58,6 +61,16 @@ class Factor:
     def fits(self) -> bool:
         """Whether it is small enough to be kept until the next merge, with its leaves."""
         return len(self.storage) + self.fronts.triangles <= LARGEST_KEPT
+
+    @property
+    def worth(self) -> float:
+        """Steps with it that cost as much as a factorisation."""
+        return self.fronts.worth
+
+    @property
+    def patience(self) -> int:
+        """Steps before it is asked how they get on."""
+        return PATIENCE
 
     def rounded(self, scale: float, leaves: dict[int, Floats]) -> Factor:
         """
@@ -169,9 +182,14 @@ class Carried:
     """What all of it counts now, over what it counted then"""
 
     @property
-    def fronts(self) -> Fronts:
-        """Those of the factor."""
-        return self.factor.fronts
+    def worth(self) -> float:
+        """Steps with it that cost as much as a factorisation."""
+        return self.factor.worth
+
+    @property
+    def patience(self) -> int:
+        """Steps before it is asked how they get on."""
+        return self.factor.patience
 
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (3 tracks,); what is gone has none."""

@@ -1,9 +1,10 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The joint merge: few factorisations, many cheap steps with the exact gradient."""
+"""The joint merge: at most a few factorisations, many cheap steps with the exact gradient."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -15,6 +16,7 @@ from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.acceleration import Acceleration
+from mapmerge_ros.fusion.joint.balancing import balanced, pays
 from mapmerge_ros.fusion.joint.cost import JointCost, State
 from mapmerge_ros.fusion.joint.dissection import dissect
 from mapmerge_ros.fusion.joint.factor import Carried, Factor
@@ -27,13 +29,6 @@ STALLED = 0.5
 """
 Share of a new matrix' promise from which its second step counts as slow: then it is outdated at
 once, as in a bent valley, where only Gauss-Newton with a matrix for each step gets on.
-"""
-
-OPERATIONS_PER_NUMBER = 17.0
-"""
-Floating-point operations in the time that a step needs to read one number.
-
-A factorisation computes, a step reads: it costs as much as 20 steps for 16 drones, 50 for 1024.
 """
 
 OVERSHOOT = 10.0
@@ -52,8 +47,12 @@ class Solver(Protocol):
     """Stands for the inverse of a matrix."""
 
     @property
-    def fronts(self) -> Fronts:
-        """How it was factorised."""
+    def worth(self) -> float:
+        """Steps with it that cost as much as a factorisation."""
+
+    @property
+    def patience(self) -> int:
+        """Steps before it is asked how they get on."""
 
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (size,)."""
@@ -64,22 +63,21 @@ class _Matrix:
     """The factor in use of the Gauss-Newton matrix, and how steps with it have gone."""
 
     solver: Solver | None = None
-    """What stands for its inverse: a factor of it, or of that of an earlier merge"""
+    """What stands for its inverse: balanced steps, a factor, or that of an earlier merge"""
     factor: Factor | None = None
     """Last factor that was made here"""
+    may_balance: bool = True
+    """Whether balanced steps have not been tried"""
     acceleration: Acceleration = field(default_factory=Acceleration)
     damping: float = 0.0
     fresh: bool = False
-    """Made for the current landmarks"""
+    """A factor of the matrix at the current landmarks"""
     fronts: Fronts | None = None
 
     @property
-    def worth(self) -> float:
-        """Cheap steps that cost as much as a factorisation."""
-        if self.solver is None:
-            return 0.0
-        fronts = self.solver.fronts
-        return fronts.operations / fronts.read_by_a_step / OPERATIONS_PER_NUMBER
+    def is_own(self) -> bool:
+        """Whether it is a factor that was made here."""
+        return self.solver is not None and self.solver is self.factor
 
     def renew(self, damping: float = 0.0) -> None:
         """Ask for a factor of the current landmarks."""
@@ -95,7 +93,17 @@ class _Matrix:
         return Carried(self.factor, np.arange(self.factor.fronts.size // 3))
 
     def make(self, cost: JointCost, state: State, gauge: Gauge) -> None:
-        """Factorise for the current landmarks, in the memory of the last factor."""
+        """
+        Prepare steps at the current landmarks.
+
+        In a fleet they are balanced ones first. Where these do not get on, a factor is made, in
+        the memory of the last one.
+        """
+        if self.may_balance and pays(cost):
+            self.may_balance = False
+            with suppress(np.linalg.LinAlgError):
+                self.solver = balanced(cost, state)
+                return
         self.fresh = True
         self.fronts = self.fronts or plan(cost, state.points)
         storage = self.factor.storage if self.factor else None
@@ -131,9 +139,9 @@ def minimise(
     """
     state, rounding = cost.evaluate(points), cost.rounding
     matrix = _Matrix(solver=carried)
-    history, promises, own = [state.cost], list[float](), carried is None
+    history, promises = [state.cost], list[float]()
     for iteration in range(1, config.max_iterations + 1):
-        matrix.fresh = matrix.solver is None
+        matrix.fresh = False
         state, promised = _step(cost, state, matrix, gauge)
         history.append(state.cost)
         enough = max(config.relative_decrease * state.cost, rounding)
@@ -143,9 +151,9 @@ def minimise(
             return Estimate(
                 state.points, state.cost, iteration, True, tuple(history), matrix=kept, state=state
             )
-        if matrix.damping or _is_outdated(promises, enough, own, matrix):
+        if matrix.damping or _is_outdated(promises, enough, matrix):
             matrix.renew()
-            promises, own = [], True
+            promises = []
     return Estimate(
         state.points, state.cost, config.max_iterations, False, tuple(history), state=state
     )
@@ -158,14 +166,14 @@ def _left(promises: list[float]) -> float:
     return promises[-1] * min(1.0, float(np.sqrt(promises[-1] / promises[-3])))
 
 
-def _is_outdated(promises: list[float], enough: float, is_own: bool, matrix: _Matrix) -> bool:
+def _is_outdated(promises: list[float], enough: float, matrix: _Matrix) -> bool:
     """Whether a factorisation costs less than the steps that are left with this matrix."""
-    if len(promises) == 2 and is_own:
+    if len(promises) == 2 and matrix.is_own:
         return promises[1] > STALLED * promises[0]
-    if len(promises) < 3:
+    if matrix.solver is None or len(promises) < matrix.solver.patience:
         return False
     decades = np.log(promises[-3] / promises[-1]) / 2.0  # two steps, as one may well overshoot
-    return bool(np.log(promises[-1] / enough) > matrix.worth * decades)
+    return bool(np.log(promises[-1] / enough) > matrix.solver.worth * decades)
 
 
 def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple[State, float]:
@@ -179,10 +187,11 @@ def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple
             promised = -float(np.sum(gradient * step))
             rounding = ROUNDING * state.cost
             # A changed factor may be indefinite, and then promises to raise the cost.
-            if matrix.fresh or promised >= -rounding:
+            if matrix.fresh or -rounding <= promised < np.inf:
                 better = matrix.acceleration.improved(state.points, gradient, step)
-                trial = cost.evaluate(state.points + better)
-                if trial.cost <= state.cost + (0.0 if matrix.fresh else OVERSHOOT * promised):
+                trial = _evaluated(cost, state.points + better, matrix)
+                allowed = state.cost + (0.0 if matrix.fresh else OVERSHOOT * promised)
+                if trial is not None and trial.cost <= allowed:
                     return trial, promised
                 if promised <= rounding:
                     return state, 0.0
@@ -191,6 +200,16 @@ def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple
             _check_determined(gradient, state)
             return state, 0.0
         matrix.renew(harder)
+
+
+def _evaluated(cost: JointCost, points: Floats, matrix: _Matrix) -> State | None:
+    """Return the state at landmarks; none where a step of an outdated matrix led nowhere."""
+    try:
+        return cost.evaluate(points)
+    except DegenerateGeometry:
+        if matrix.fresh:
+            raise
+        return None
 
 
 def _check_determined(gradient: Floats, state: State) -> None:

@@ -21,8 +21,7 @@ from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.joint.derivatives import Jacobians
 from mapmerge_ros.fusion.joint.factor import Change, Factor
-from mapmerge_ros.fusion.joint.fronts import Fronts
-from mapmerge_ros.fusion.joint.minimise import OPERATIONS_PER_NUMBER
+from mapmerge_ros.fusion.joint.fronts import OPERATIONS_PER_NUMBER, Fronts
 from mapmerge_ros.submap import unpack
 
 HIGHEST_CONDITION = 1e4

@@ -16,15 +16,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse
-import scipy.sparse.csgraph
 from scipy.spatial.transform import Rotation
 
 from mapmerge_ros.arrays import Floats, Mask
+from mapmerge_ros.fusion.joint.banded import Banded
 from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.members import grouped
-from mapmerge_ros.geometry import Gauge, Similarities, Similarity, generators, sparse_graph
+from mapmerge_ros.geometry import Gauge, Similarities, Similarity, generators
 
 STEPS = 6
 """Gauss-Newton steps over the frames at most; 64 drones take three, 1024 five."""
@@ -66,14 +65,14 @@ def mean_of_members(cost: JointCost, frames: Similarities, counts: Mask | None =
 
     Only some members (rows,) may count; nan where none of a landmark does.
     """
-    information = _information(cost, frames)
+    information = turned_information(cost, frames)
     if counts is not None:
         information = information * counts[:, None, None]
     placed = frames.apply(cost.segments, cost.points_map)
-    return _mean(cost, placed, information, _inverse(cost.by_track(information)))
+    return _mean(cost, placed, information, inverse_of_each(cost.by_track(information)))
 
 
-def _information(cost: JointCost, frames: Similarities) -> Floats:
+def turned_information(cost: JointCost, frames: Similarities) -> Floats:
     """Information (rows, 3, 3) of each member in the common frame."""
     least = LEAST * np.einsum('mii->m', cost.information) + np.finfo(float).tiny
     known = cost.information + least[:, None, None] * np.eye(3)
@@ -82,7 +81,7 @@ def _information(cost: JointCost, frames: Similarities) -> Floats:
     return information
 
 
-def _inverse(matrices: Floats) -> Floats:
+def inverse_of_each(matrices: Floats) -> Floats:
     """Inverse of each (n, 3, 3); nan of zero."""
     none = ~(np.einsum('nii->n', matrices) > 0.0)
     inverse: Floats = np.linalg.inv(np.where(none[:, None, None], np.eye(3), matrices))
@@ -98,10 +97,14 @@ def _mean(cost: JointCost, placed: Floats, information: Floats, inverse: Floats)
 
 
 def _steps(cost: JointCost, frames: Similarities, free: Mask) -> Floats:
-    """Tangents (maps, 7) of all frames, in the order of `generators`, towards the common mean."""
+    """
+    Tangents (maps, 7) of all frames, in the order of `generators`, towards the common mean.
+
+    Not numbers where the sub-maps do not determine them together.
+    """
     maps, owners = len(cost), cost.segments.owners
-    information = _information(cost, frames)
-    inverse = _inverse(cost.by_track(information))
+    information = turned_information(cost, frames)
+    inverse = inverse_of_each(cost.by_track(information))
     placed = frames.apply(cost.segments, cost.points_map)
     apart = placed - _mean(cost, placed, information, inverse)[cost.tracks]
     tangents = generators(placed, Gauge.SIMILARITY) * free[owners][:, None, :]
@@ -110,9 +113,13 @@ def _steps(cost: JointCost, frames: Similarities, free: Mask) -> Floats:
     own[:, range(7), range(7)] += ~free
     blocks = scipy.sparse.bsr_array((own, np.arange(maps), np.arange(maps + 1)))
     pulls, answers = _as_matrices(cost, weighted, inverse[cost.tracks] @ weighted)
-    matrix = blocks - pulls.T @ answers
+    matrix = scipy.sparse.bsr_array(blocks - pulls.T @ answers, blocksize=(7, 7))
     right = cost.segments.sums(np.einsum('mia,mi->ma', weighted, apart))
-    return -_solve_banded(matrix.tocoo(), right.ravel()).reshape(maps, 7)
+    rows = np.repeat(np.arange(maps), np.diff(matrix.indptr))
+    try:
+        return -Banded.of(rows, matrix.indices.astype(np.int64), matrix.data, maps).solve(right)
+    except np.linalg.LinAlgError:
+        return np.full((maps, 7), np.nan)
 
 
 def _as_matrices(cost: JointCost, *each: Floats) -> list[scipy.sparse.bsr_array]:
@@ -120,25 +127,6 @@ def _as_matrices(cost: JointCost, *each: Floats) -> list[scipy.sparse.bsr_array]
     order, ends = grouped(cost.tracks, cost.count)
     maps, shape = cost.segments.owners[order], (3 * cost.count, 7 * len(cost))
     return [scipy.sparse.bsr_array((values[order], maps, ends), shape=shape) for values in each]
-
-
-def _solve_banded(matrix: scipy.sparse.coo_array, right: Floats) -> Floats:
-    """Solve with frames in the order of Cuthill & McKee; nan where that fails."""
-    graph = sparse_graph(np.ones(matrix.nnz), matrix.row // 7, matrix.col // 7, len(right) // 7)
-    order = scipy.sparse.csgraph.reverse_cuthill_mckee(graph, symmetric_mode=True)
-    place = np.empty(len(right), np.int64)
-    place[(7 * order[:, None] + np.arange(7)).ravel()] = np.arange(len(right))
-    row, column = place[matrix.row], place[matrix.col]
-    lower = row >= column
-    banded = np.zeros((int((row - column).max()) + 1, len(right)), order='F')
-    banded[(row - column)[lower], column[lower]] = matrix.data[lower]
-    sorted_right = np.empty(len(right))
-    sorted_right[place] = right
-    try:
-        solved = scipy.linalg.solveh_banded(banded, sorted_right, lower=True, check_finite=False)
-    except np.linalg.LinAlgError:
-        return np.full(len(right), np.nan)
-    return np.asarray(solved[place])
 
 
 def _moved(frames: Similarities, steps: Floats) -> Similarities:
