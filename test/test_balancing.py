@@ -11,6 +11,7 @@ from joint_cases import CASES, CONFIG, IDS, case, made_fleets
 pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres: pip install pycolmap')
 
 from mapmerge_ros.errors import DegenerateGeometry
+from mapmerge_ros.fusion import fuse
 from mapmerge_ros.fusion.joint import balancing
 from mapmerge_ros.fusion.joint import minimise as joint
 from mapmerge_ros.fusion.joint.balancing import Balanced, balanced, pays
@@ -18,7 +19,8 @@ from mapmerge_ros.fusion.joint.banded import Banded
 from mapmerge_ros.fusion.joint.start import initial_points
 from mapmerge_ros.fusion.links import find_links
 from mapmerge_ros.fusion.overlap import spanning_tree
-from mapmerge_ros.geometry import Gauge, Segments
+from mapmerge_ros.geometry import Gauge, Segments, generators
+from mapmerge_ros.simulation import FleetConfig, simulate_fleet
 
 
 @pytest.fixture(scope='module')
@@ -78,6 +80,23 @@ def test_it_leads_to_the_merge_of_the_factor(fleets, gauges, monkeypatch):
     assert found.iterations <= 25
     assert found.cost == pytest.approx(by_factor.cost, rel=1e-11)
     assert found.matrix is None
+
+
+def test_a_fleet_is_fused_as_with_a_factor(monkeypatch):
+    config = FleetConfig(drones=16, keyframes=12, landmarks=350, descriptors=False)
+    submaps = simulate_fleet(config, 1).submaps(catalogue=False)
+    with monkeypatch.context() as without:
+        without.setattr(joint, 'factorise', None)  # merged without one
+        found = fuse(submaps).components[0]
+    monkeypatch.setattr(joint, 'pays', lambda _: False)
+    wanted = fuse(submaps).components[0]
+    assert found.iterations > wanted.iterations
+    assert found.map_ids == wanted.map_ids
+    assert len(found.map_ids) == len(submaps)
+    assert found.verdict.accepted
+    assert found.verdict.a_tilde == pytest.approx(wanted.verdict.a_tilde, rel=1e-9)
+    apart = np.abs(found.landmarks.points_global - wanted.landmarks.points_global)
+    assert (apart < 1e-5 * wanted.landmarks.std).all()
 
 
 class Useless(Balanced):
@@ -146,9 +165,10 @@ def test_it_pays_where_many_sub_maps_share_with_few(fleets):
             gauges=np.full(maps, 7),
         )
 
-    assert pays(fleet(16, 20, 2))
-    assert not pays(fleet(15, 20, 2))
-    assert not pays(fleet(64, 5, 2)), 'frames are as many as landmarks'
+    assert pays(fleet(16, 40, 2))
+    assert not pays(fleet(15, 50, 2))
+    assert not pays(fleet(16, 20, 2)), 'small ones'
+    assert not pays(fleet(640, 5, 2)), 'frames are as many as landmarks'
     assert not pays(fleet(64, 20, 30)), 'everybody shares with everybody'
 
 
@@ -176,3 +196,22 @@ def test_a_band_is_solved_as_the_dense_matrix_is():
     grown = Banded.of(rows, columns, blocks, count, growth=0.5).solve(right).ravel()
     heavier = dense + 0.5 * np.diag(np.diag(dense))
     np.testing.assert_allclose(heavier @ grown, right.ravel(), atol=1e-10)
+
+
+def test_landmarks_on_one_line_do_not_turn_about_it(fleets):
+    """One motion less, and still a basis: two landmarks are enough for a yaw and a place."""
+    cost = started(fleets, CASES[0])[0]
+    line = np.zeros(cost.growth.shape)
+    line[:, 0] = cost.growth[:, 0]
+    columns = np.where(
+        (cost.segments.owners == 1)[:, None, None],
+        generators(line, Gauge.SIMILARITY),
+        generators(cost.growth, Gauge.SIMILARITY),
+    )
+    basis = balancing._orthonormal(cost, columns)
+    for k, squares in enumerate(cost.segments.products(basis, basis)):
+        values = np.linalg.eigvalsh(squares)
+        np.testing.assert_allclose(values, [float(k != 1), *[1.0] * 6], atol=1e-9)
+    # What the columns do, the basis does.
+    inner = cost.segments.products(basis, columns)
+    np.testing.assert_allclose(basis @ inner[cost.segments.owners], columns, atol=1e-9)

@@ -13,12 +13,21 @@ from scipy.linalg.blas import dtrmv, strmm, strmv
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.blas import mirror, square_of_lower, times_lower
 from mapmerge_ros.fusion.joint.fronts import Front, Fronts, Run
+from mapmerge_ros.fusion.joint.trust import Trust
 
 LARGEST_KEPT = 2**26
 """Numbers of a factor and its leaves that are kept for the next merge: 0.25 GB, 300 drones."""
 
 PATIENCE = 3
 """Steps before it is asked how they get on: two show a rate, and one of these may overshoot."""
+
+OVERSHOOT = 10.0
+"""
+By how many times its promise a step with an old factor may raise the cost.
+
+Old and new matrix differ in the soft modes, and what a step along them shows (`Acceleration`) is
+worth more than the rise.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,14 +72,9 @@ class Factor:
         return len(self.storage) + self.fronts.triangles <= LARGEST_KEPT
 
     @property
-    def worth(self) -> float:
-        """Steps with it that cost as much as a factorisation."""
-        return self.fronts.worth
-
-    @property
-    def patience(self) -> int:
-        """Steps before it is asked how they get on."""
-        return PATIENCE
+    def trust(self) -> Trust:
+        """Say how long to go on with it."""
+        return Trust(self.fronts.worth, PATIENCE, OVERSHOOT)
 
     def rounded(self, scale: float, leaves: dict[int, Floats]) -> Factor:
         """
@@ -182,14 +186,9 @@ class Carried:
     """What all of it counts now, over what it counted then"""
 
     @property
-    def worth(self) -> float:
-        """Steps with it that cost as much as a factorisation."""
-        return self.factor.worth
-
-    @property
-    def patience(self) -> int:
-        """Steps before it is asked how they get on."""
-        return self.factor.patience
+    def trust(self) -> Trust:
+        """Say how long to go on with it."""
+        return self.factor.trust
 
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (3 tracks,); what is gone has none."""

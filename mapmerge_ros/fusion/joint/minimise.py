@@ -22,6 +22,7 @@ from mapmerge_ros.fusion.joint.dissection import dissect
 from mapmerge_ros.fusion.joint.factor import Carried, Factor
 from mapmerge_ros.fusion.joint.factorise import Elements, factorise
 from mapmerge_ros.fusion.joint.fronts import Fronts, plan_fronts
+from mapmerge_ros.fusion.joint.trust import Trust
 from mapmerge_ros.fusion.merge import DAMPING_STEP, FIRST_DAMPING, MAX_DAMPING, Estimate
 from mapmerge_ros.geometry import Gauge, gauge_basis
 
@@ -29,14 +30,6 @@ STALLED = 0.5
 """
 Share of a new matrix' promise from which its second step counts as slow: then it is outdated at
 once, as in a bent valley, where only Gauss-Newton with a matrix for each step gets on.
-"""
-
-OVERSHOOT = 10.0
-"""
-By how many times its promise a step with an old matrix may raise the cost.
-
-Old and new matrix differ in the soft modes, and what a step along them shows (`Acceleration`) is
-worth more than the rise.
 """
 
 ROUNDING = 1e-12
@@ -47,12 +40,8 @@ class Solver(Protocol):
     """Stands for the inverse of a matrix."""
 
     @property
-    def worth(self) -> float:
-        """Steps with it that cost as much as a factorisation."""
-
-    @property
-    def patience(self) -> int:
-        """Steps before it is asked how they get on."""
+    def trust(self) -> Trust:
+        """Say how long to go on with it."""
 
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (size,)."""
@@ -170,10 +159,10 @@ def _is_outdated(promises: list[float], enough: float, matrix: _Matrix) -> bool:
     """Whether a factorisation costs less than the steps that are left with this matrix."""
     if len(promises) == 2 and matrix.is_own:
         return promises[1] > STALLED * promises[0]
-    if matrix.solver is None or len(promises) < matrix.solver.patience:
+    if matrix.solver is None or len(promises) < matrix.solver.trust.patience:
         return False
     decades = np.log(promises[-3] / promises[-1]) / 2.0  # two steps, as one may well overshoot
-    return bool(np.log(promises[-1] / enough) > matrix.solver.worth * decades)
+    return bool(np.log(promises[-1] / enough) > matrix.solver.trust.worth * decades)
 
 
 def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple[State, float]:
@@ -190,7 +179,8 @@ def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple
             if matrix.fresh or -rounding <= promised < np.inf:
                 better = matrix.acceleration.improved(state.points, gradient, step)
                 trial = _evaluated(cost, state.points + better, matrix)
-                allowed = state.cost + (0.0 if matrix.fresh else OVERSHOOT * promised)
+                overshoot = 0.0 if matrix.fresh else matrix.solver.trust.overshoot
+                allowed = state.cost + overshoot * promised
                 if trial is not None and trial.cost <= allowed:
                     return trial, promised
                 if promised <= rounding:
