@@ -3,6 +3,10 @@
 """The shipped recording gives what is committed beside it, and what is true."""
 
 import json
+import os
+import subprocess
+import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -67,3 +71,23 @@ def test_the_recording_is_what_simulate_makes(tmp_path):
         assert (a.landmark_ids == b.landmark_ids).all()
         assert b.points == pytest.approx(a.points, rel=1e-5, abs=1e-5)
         assert b.a == pytest.approx(a.a, rel=1e-6)
+
+
+def test_a_terminal_sees_that_the_last_merge_is_at_work(tmp_path):
+    """The bar is gone by then, and thousands of landmarks take a minute."""
+    ours, theirs = os.openpty()
+    program = [sys.executable, '-m', 'mapmerge_ros.cli.main']
+    process = subprocess.Popen(
+        [*program, 'replay', RECORDING, '--out', tmp_path],
+        stdout=subprocess.DEVNULL,
+        stderr=theirs,
+    )
+    os.close(theirs)
+    seen = b''
+    # A terminal whose other end is closed cannot be read.
+    with os.fdopen(ours, 'rb', buffering=0) as terminal, suppress(OSError):
+        while part := terminal.read(4096):
+            seen += part
+    assert process.wait() == 0
+    assert b'replaying' in seen
+    assert b'merging' in seen

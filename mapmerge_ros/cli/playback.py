@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from mapmerge_ros.cli import console
@@ -46,6 +46,7 @@ class Playback:
         self._accepted = 0
         self._bytes_in = 0
         self._size_bytes = 0
+        self._last_merge = ExitStack()
 
     def run(self, on_fusion: OnFusion | None = None) -> Fusion:
         """
@@ -60,7 +61,10 @@ class Playback:
 
         """
         try:
-            return replay(self._messages(), self._engine, self._period_ns, on_fusion, self._count)
+            with self._last_merge:
+                return replay(
+                    self._messages(), self._engine, self._period_ns, on_fusion, self._count
+                )
         except EmptyReplayError as err:
             names = ', '.join(map(str, self._bags))
             reasons = dict.fromkeys(f'{x.name}: {x.reason}' for x in self._refused)
@@ -85,6 +89,8 @@ class Playback:
                 continue
             self._size_bytes = item.size_bytes
             yield item.log_time_ns, item.submap
+        # Thousands of landmarks take a minute, and the bar above is gone.
+        self._last_merge.enter_context(console.working('merging'))
 
     def _count(self, submap: SubMap, receipt: Receipt) -> None:
         if receipt.accepted:
