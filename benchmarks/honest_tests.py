@@ -26,7 +26,7 @@ from mapmerge_ros.bundle import Bundle, MapName, compress, with_lens_prior
 from mapmerge_ros.bundle.quality import TrackQuality
 from mapmerge_ros.bundle.selection import matched
 from mapmerge_ros.experiments.room import simulate_room
-from mapmerge_ros.fusion import Fusion, FusionConfig, fuse
+from mapmerge_ros.fusion import Fusion, FusionConfig, Verdict, fuse
 from mapmerge_ros.io import load_colmap
 from mapmerge_ros.simulation import FleetConfig, simulate_fleet
 from mapmerge_ros.submap import SubMap
@@ -45,7 +45,9 @@ UNCHANGED_HEAD = (
     '| set | draw | landmarks | ã/(dof σ²) | φ | τ / radius | ω / radius | ν | p < 0.01 | '
     'textbook | aside | p of the whole | accepted | test, CPU s |'
 )
-WRONG_HEAD = '| what is wrong | merges | accepted by the textbook | accepted | first reason |'
+WRONG_HEAD = (
+    '| what is wrong | merges | kept apart | accepted by the textbook | accepted | first reason |'
+)
 
 
 def load(folder: Path, *, all_tracks: bool) -> tuple[list[Bundle], list[np.ndarray]]:
@@ -161,10 +163,16 @@ DAMAGES: tuple[tuple[str, Damage, float], ...] = (
 def wrong_row(what: str, fusions: list[Fusion]) -> str:
     """How merges that are wrong are judged."""
     verdicts = [fusion.verdict for fusion in fusions]
-    textbook = sum(verdict.textbook_p_value >= 0.01 for verdict in verdicts)
-    accepted = sum(verdict.accepted for verdict in verdicts)
     reasons = [verdict.reason for verdict in verdicts if verdict.reason]
-    return f'| {what} | {len(verdicts)} | {textbook} | {accepted} | {(reasons or ["–"])[0]} |'
+    return f'| {what} | {counted(verdicts)} | {(reasons or ["–"])[0]} |'
+
+
+def counted(verdicts: Sequence[Verdict]) -> str:
+    """All, those in which nothing was merged, and of the others those that are believed."""
+    merged = [verdict for verdict in verdicts if verdict.dof > 0]
+    textbook = sum(verdict.textbook_p_value >= 0.01 for verdict in merged)
+    accepted = sum(verdict.accepted for verdict in merged)
+    return f'{len(verdicts)} | {len(verdicts) - len(merged)} | {textbook} | {accepted}'
 
 
 def damaged_rows(draws: dict[str, list[SubMap]]) -> list[str]:
