@@ -10,48 +10,39 @@ memory grow with the number of sub-maps, and the number of steps does not (docs/
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-from scipy.linalg.blas import dgemm, stpsv
+from scipy.linalg.blas import stpsv
 
-from mapmerge_ros.arrays import Floats, Ints, Mask
-from mapmerge_ros.blas import times_lower
+from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.joint.banded import Banded
 from mapmerge_ros.fusion.joint.cost import JointCost, State
-from mapmerge_ros.fusion.joint.derivatives import low_rank
-from mapmerge_ros.fusion.joint.root import Unpacked, scratch_size
+from mapmerge_ros.fusion.joint.coupling import Meetings, couple
+from mapmerge_ros.fusion.joint.root import Root, scratch_size
 from mapmerge_ros.fusion.joint.start import inverse_of_each, turned_information
 from mapmerge_ros.fusion.joint.trust import Trust
 from mapmerge_ros.fusion.members import grouped
 from mapmerge_ros.geometry import Gauge, generators
+from mapmerge_ros.submap import unpack
 
 RELAXATION = 0.6
 """Factor that puts the eigenvalues, from 1 to about 3.3 by themselves, on both sides of 1."""
-
-LEAST = 1e-12
-"""
-Share by which the diagonal of the frames' system grows.
-
-Two sub-maps that know the same of the same landmarks have the same motions; without it that
-system would be singular, and with it their motions are shared out.
-"""
 
 FEWEST = 16
 """
 Sub-maps from which balanced steps cost less than a factorisation.
 
-About 13 of them do, however many the sub-maps: they take three quarters of the time at 16 drones,
-half at 64, a third at 1024.
+12 of them do for 16 drones and 17 for 1024: they take three quarters of the time at 16, half at
+64, a quarter at 1024.
 """
 
 SMALLEST = 300_000
 """
 Sum of (3s)² over the sub-maps from which it is so: of less, a factor is made in no time.
 
-40 sub-maps of 26 shared landmarks each, where both take the same time.
+40 sub-maps of 29 shared landmarks each; there both take about the same time.
 """
 
 LANDMARKS_PER_MAP = 10.0
@@ -64,6 +55,12 @@ Sub-maps that see the landmark of a member, on average, up to which neighbours a
 Where all sub-maps see the same place, what is kept of pairs would grow with their square.
 """
 
+HELD = 1e-5
+"""Singular value, over the largest, up to which R does not see size or place: it is float32."""
+
+NEGLIGIBLE = 1e-9
+"""Turn or shift over growth, as moved landmarks show it, below which it is rounding."""
+
 DEPENDENT = 1e-9
 """Square of a motion, of columns of length one, up to which it moves nothing."""
 
@@ -74,8 +71,11 @@ OVERSHOOT = 1.0
 """
 By how many times its promise a step may raise the cost.
 
-On a quadratic cost none does, as no eigenvalue exceeds 2: here it bends, and a factor is better.
+On a quadratic cost hardly any does, with eigenvalues up to 2: one that bends is left to a factor.
 """
+
+IDENTITIES = tuple(np.eye(size)[np.triu_indices(size)] for size in range(8))
+"""Packed triangles of size 0 to 7."""
 
 STEPS_PER_ROOT = 3.0
 """
@@ -104,6 +104,8 @@ class Balanced:
     """Per map those that move some of its landmarks (m,)"""
     pulls: tuple[Floats, ...]
     """Per map J'J of the motions of its neighbours (3s, 7m), float32"""
+    held: Floats
+    """(maps, 7, 7) what answers to forces on the last seven coordinates, all others following"""
     frames: Banded
     """C'AC"""
 
@@ -161,11 +163,11 @@ class Balanced:
             rows = cost.segments.rows(k)
             triangle = scratch[: scratch_size(root.columns)]
             triangle[: len(root.packed)] = root.packed
-            # The last coordinates stay, for place and size: R determines all others.
-            known = max(min(len(root.c), root.columns - Gauge.SIMILARITY), 0)
-            triangle[len(triangle) - scratch_size(root.columns - known) :] = 1.0
+            # By elimination: where R leaves the last coordinates free, they stay.
+            last = min(Gauge.SIMILARITY, root.columns)
+            triangle[len(triangle) - scratch_size(last) :] = IDENTITIES[last]
             half = stpsv(root.columns, triangle, own[rows].ravel(), lower=1, overwrite_x=1)
-            half[known:] = 0.0
+            half[-last:] = self.held[k, -last:, -last:] @ half[-last:]
             answer = stpsv(root.columns, triangle, half, lower=1, trans=1, overwrite_x=1)
             own[rows] = answer.reshape(-1, 3)
         weights = np.array([root.weight for root in cost.roots])[cost.segments.owners]
@@ -190,9 +192,9 @@ def pays(cost: JointCost) -> bool:
     return float(views @ views) <= MOST_VIEWS * len(cost.tracks)
 
 
-def balanced(cost: JointCost, state: State) -> Balanced:
+def balanced(cost: JointCost, state: State) -> Balanced | None:
     """
-    Prepare steps at a state.
+    Prepare steps at a state; none where what is kept of neighbours would exceed what R takes.
 
     Raises
     ------
@@ -200,6 +202,10 @@ def balanced(cost: JointCost, state: State) -> Balanced:
         The frames of some sub-maps are not determined by the others.
 
     """
+    met = Meetings.of(cost)
+    sizes, near = 3 * cost.segments.lengths, np.array([len(own) for own in met.neighbours])
+    if np.sum(49 * near**2 + 7 * near * sizes) > np.sum(sizes**2):
+        return None
     owners = cost.segments.owners
     S_global_maps = state.S_map_globals.inverse()
     information = turned_information(cost, S_global_maps)
@@ -207,23 +213,36 @@ def balanced(cost: JointCost, state: State) -> Balanced:
     places = total[cost.tracks] @ information @ S_global_maps.linear()[owners]
     still = generators(cost.growth, Gauge.SIMILARITY)
     # What a sub-map knows of its scale or place, it knows badly: there, too, frames decide.
-    moves = np.ones((len(cost), 7), bool)
-    # One holds the frame of all: any of those with the smallest gauge.
-    gauge = cost.gauges.min()
-    moves[np.argmax(np.where(cost.gauges == gauge, cost.segments.lengths, 0)), :gauge] = False
     moving = generators(state.moved - cost.centres_map[owners], Gauge.SIMILARITY)
-    motions = places @ (moving * moves[owners][:, None, :])
-    neighbours, pulls, frames = _couple(cost, state, motions, moves)
+    motions = places @ moving
+    pulls, frames = couple(cost, state, motions, met)
     order, ends = grouped(cost.tracks, cost.count)
     return Balanced(
         cost,
         places,
         _by_map(_orthonormal(cost, still), owners, np.arange(len(owners) + 1)),
         _by_map(motions[order], owners[order], ends),
-        neighbours,
+        met.neighbours,
         pulls,
+        np.array([_held(root) for root in cost.roots]),
         frames,
     )
+
+
+def _held(root: Root) -> Floats:
+    """
+    (R22'R22)⁺ (7, 7) of the last rows and columns of R, which see size and place if anything.
+
+    Zero for gauge 7: R has no such rows.
+    """
+    held = np.zeros((7, 7), np.float32)
+    last = min(Gauge.SIMILARITY, root.columns)
+    rows = len(root.c) - (root.columns - last)
+    if rows > 0:
+        own = root.packed[scratch_size(root.columns) - scratch_size(last) :]
+        inverse = np.linalg.pinv(unpack(own, last, rows), rcond=HELD)
+        held[-last:, -last:] = inverse @ inverse.T
+    return held
 
 
 def _by_map(blocks: Floats, maps: Ints, ends: Ints) -> scipy.sparse.csr_array:
@@ -236,87 +255,11 @@ def _orthonormal(cost: JointCost, columns: Floats) -> Floats:
     """Orthonormal basis (rows, 3, 7) of the columns of each map; zeros where they are fewer."""
     owners = cost.segments.owners
     sizes = np.sqrt(cost.segments.sums(np.einsum('mia,mia->ma', columns, columns)))
-    scaled = columns / np.maximum(sizes, np.finfo(float).tiny)[owners][:, None, :]
+    # Turning about an axis on which all landmarks lie is rounding, and no direction.
+    sizes[sizes < NEGLIGIBLE * sizes[:, 6:]] = np.inf
+    scaled = columns / sizes[owners][:, None, :]
     # Two landmarks, or those on one line, do not turn about it.
     squares, axes = np.linalg.eigh(cost.segments.products(scaled, scaled))
     lengths = np.where(squares > DEPENDENT, np.sqrt(np.maximum(squares, DEPENDENT)), np.inf)
     basis: Floats = scaled @ (axes / lengths[:, None, :])[owners]
     return basis
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Meetings:
-    """Pairs of members of one landmark, each with itself too, in the order of the first one."""
-
-    ends: Ints
-    """(maps + 1,) pairs whose first member is of each map"""
-    first: Ints
-    """(pairs,)"""
-    second: Ints
-    """(pairs,)"""
-    neighbours: tuple[Ints, ...]
-    """Per map those that have some of its landmarks, itself too, ascending"""
-    columns: Ints
-    """(pairs,) place of the second one's map among the neighbours of the first one's"""
-
-    @classmethod
-    def of(cls, cost: JointCost) -> _Meetings:
-        """All of them."""
-        owners, tracks, maps = cost.segments.owners, cost.tracks, len(cost)
-        order, ends = grouped(tracks, cost.count)
-        views = np.diff(ends)[tracks]
-        starts = np.concatenate([[0], np.cumsum(views)])
-        first = np.repeat(np.arange(len(tracks)), views)
-        second = order[np.repeat(ends[tracks] - starts[:-1], views) + np.arange(starts[-1])]
-        keys, columns = np.unique(owners[first] * maps + owners[second], return_inverse=True)
-        bounds = np.searchsorted(keys, maps * np.arange(maps + 1))
-        neighbours = np.split(keys % maps, bounds[1:-1])
-        columns = columns - bounds[owners[first]]
-        return cls(starts[cost.segments.ends], first, second, tuple(neighbours), columns)
-
-
-def _couple(
-    cost: JointCost, state: State, motions: Floats, moves: Mask
-) -> tuple[tuple[Ints, ...], tuple[Floats, ...], Banded]:
-    """Per map its neighbours and the pulls of their motions; and the system of all frames."""
-    met, maps = _Meetings.of(cost), len(cost)
-    pulls, blocks = zip(*_pulls(cost, state, motions, met), strict=True)
-    own = np.einsum('kaa->ka', diagonal := np.zeros((maps, 7, 7)))
-    own[...] = ~moves
-    rows = [np.repeat(near, len(near)) for near in met.neighbours]
-    columns = [np.tile(near, len(near)) for near in met.neighbours]
-    every = np.arange(maps)
-    frames = Banded.of(
-        np.concatenate([*rows, every]),
-        np.concatenate([*columns, every]),
-        np.concatenate([*blocks, diagonal]),
-        maps,
-        growth=LEAST,
-    )
-    return met.neighbours, pulls, frames
-
-
-def _pulls(
-    cost: JointCost, state: State, motions: Floats, met: _Meetings
-) -> Iterator[tuple[Floats, Floats]]:
-    """Per map J'J X (3s, 7m) and the blocks of X'J'J X (m m, 7, 7), X the neighbours' motions."""
-    linear, answer = state.S_map_globals.linear(), low_rank(cost, state)
-    moved = linear[cost.segments.owners[met.first]] @ motions[met.second]
-    moved = moved.transpose(0, 2, 1)
-    unpacked = Unpacked(3 * int(cost.segments.lengths.max()))
-    for k, root in enumerate(cost.roots):
-        rows, n, m = cost.segments.rows(k), root.columns, len(met.neighbours[k])
-        pairs = slice(met.ends[k], met.ends[k + 1])
-        by_map = np.zeros((m, 7, n // 3, 3))
-        by_map[met.columns[pairs], :, met.first[pairs] - rows.start] = moved[pairs]
-        x = by_map.reshape(7 * m, n).T
-        left, right = (side[rows].reshape(n, -1) for side in (answer.left, answer.right))
-        lower = unpacked.trapezoid(root.packed, n, n).T
-        weight, stretch = np.sqrt(root.weight), state.stretches[k]
-        x = dgemm(1.0, left, right.T @ x, beta=stretch, c=x, overwrite_c=1)
-        times_lower(x, lower, weight, transposed=True)
-        block = (x.T @ x).reshape(m, 7, m, 7).transpose(0, 2, 1, 3).reshape(-1, 7, 7)
-        times_lower(x, lower, weight)
-        x = dgemm(1.0, right, left.T @ x, beta=stretch, c=x, overwrite_c=1)
-        turned = x.T.reshape(-1, 3) @ linear[k]
-        yield turned.reshape(7 * m, n).T.astype(np.float32), block

@@ -42,6 +42,8 @@ class Banded:
         graph = sparse_graph(np.ones(len(rows)), rows, columns, count)
         rank = np.empty(count, np.int64)
         rank[reverse_cuthill_mckee(graph, symmetric_mode=True)] = np.arange(count)
+        half = rank[rows] >= rank[columns]  # the others say the same
+        rows, columns, blocks = rows[half], columns[half], blocks[half]
         places = width * rank[:, None] + np.arange(width)
         row, column = places[rows][:, :, None], places[columns][:, None, :]
         below = row - column

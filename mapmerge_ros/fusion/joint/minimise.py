@@ -1,6 +1,6 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The joint merge: at most a few factorisations, many cheap steps with the exact gradient."""
+"""The joint merge: few matrices or none, many cheap steps with the exact gradient."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Solver(Protocol):
 
 @dataclass(slots=True)
 class _Matrix:
-    """The factor in use of the Gauss-Newton matrix, and how steps with it have gone."""
+    """What stands for the inverse of the Gauss-Newton matrix, and how steps with it have gone."""
 
     solver: Solver | None = None
     """What stands for its inverse: balanced steps, a factor, or that of an earlier merge"""
@@ -76,7 +76,7 @@ class _Matrix:
     def kept(self, carried: Carried | None) -> Carried | None:
         """Return what the next merge may begin with."""
         if self.factor is None:
-            return carried
+            return carried if self.solver is carried else None  # outdated, else
         if not self.factor.fits:
             return None
         return Carried(self.factor, np.arange(self.factor.fronts.size // 3))
@@ -92,6 +92,7 @@ class _Matrix:
             self.may_balance = False
             with suppress(np.linalg.LinAlgError):
                 self.solver = balanced(cost, state)
+            if self.solver is not None:
                 return
         self.fresh = True
         self.fronts = self.fronts or plan(cost, state.points)
@@ -130,17 +131,19 @@ def minimise(
     matrix = _Matrix(solver=carried)
     history, promises = [state.cost], list[float]()
     for iteration in range(1, config.max_iterations + 1):
-        matrix.fresh = False
+        matrix.fresh, before = False, matrix.solver
         state, promised = _step(cost, state, matrix, gauge)
         history.append(state.cost)
         enough = max(config.relative_decrease * state.cost, rounding)
-        promises.append(promised)
+        promises = [promised] if matrix.solver is not before else [*promises, promised]
         if _left(promises) <= enough:
             kept = matrix.kept(carried)
             return Estimate(
                 state.points, state.cost, iteration, True, tuple(history), matrix=kept, state=state
             )
-        if matrix.damping or _is_outdated(promises, enough, matrix):
+        if matrix.damping or _is_outdated(
+            promises, enough, matrix, config.max_iterations - iteration
+        ):
             matrix.renew()
             promises = []
     return Estimate(
@@ -155,14 +158,18 @@ def _left(promises: list[float]) -> float:
     return promises[-1] * min(1.0, float(np.sqrt(promises[-1] / promises[-3])))
 
 
-def _is_outdated(promises: list[float], enough: float, matrix: _Matrix) -> bool:
-    """Whether a factorisation costs less than the steps that are left with this matrix."""
+def _is_outdated(promises: list[float], enough: float, matrix: _Matrix, allowed: int) -> bool:
+    """
+    Whether a factorisation costs less than the steps that are left with this matrix.
+
+    Or whether these are more than are `allowed`.
+    """
     if len(promises) == 2 and matrix.is_own:
         return promises[1] > STALLED * promises[0]
     if matrix.solver is None or len(promises) < matrix.solver.trust.patience:
         return False
     decades = np.log(promises[-3] / promises[-1]) / 2.0  # two steps, as one may well overshoot
-    return bool(np.log(promises[-1] / enough) > matrix.solver.trust.worth * decades)
+    return bool(np.log(promises[-1] / enough) > min(matrix.solver.trust.worth, allowed) * decades)
 
 
 def _step(cost: JointCost, state: State, matrix: _Matrix, gauge: Gauge) -> tuple[State, float]:
