@@ -59,7 +59,7 @@ HELD = 1e-5
 """Singular value, over the largest, up to which R does not see size or place: it is float32."""
 
 NEGLIGIBLE = 1e-9
-"""Turn or shift over growth, as moved landmarks show it, below which it is rounding."""
+"""What a turn moves, over what growing moves, below which it is rounding."""
 
 DEPENDENT = 1e-9
 """Square of a motion, of columns of length one, up to which it moves nothing."""
@@ -256,7 +256,8 @@ def _orthonormal(cost: JointCost, columns: Floats) -> Floats:
     owners = cost.segments.owners
     sizes = np.sqrt(cost.segments.sums(np.einsum('mia,mia->ma', columns, columns)))
     # Turning about an axis on which all landmarks lie is rounding, and no direction.
-    sizes[sizes < NEGLIGIBLE * sizes[:, 6:]] = np.inf
+    turns = sizes[:, 3:6]
+    turns[turns < NEGLIGIBLE * sizes[:, 6:]] = np.inf
     scaled = columns / sizes[owners][:, None, :]
     # Two landmarks, or those on one line, do not turn about it.
     squares, axes = np.linalg.eigh(cost.segments.products(scaled, scaled))
