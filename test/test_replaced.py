@@ -13,9 +13,10 @@ pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres: pip
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.joint import resume as resuming
+from mapmerge_ros.fusion.joint.coupling import middle
 from mapmerge_ros.fusion.joint.covariance import uncertainty
 from mapmerge_ros.fusion.joint.factor import Carried
-from mapmerge_ros.fusion.joint.minimise import held_by, middle, minimise
+from mapmerge_ros.fusion.joint.minimise import held_by, minimise
 from mapmerge_ros.fusion.joint.near_optimum import near_optimum
 from mapmerge_ros.fusion.joint.replaced import Member, change
 from mapmerge_ros.fusion.joint.resume import Members, Resumable, resume

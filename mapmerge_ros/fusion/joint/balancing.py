@@ -20,10 +20,9 @@ from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.fusion.joint.banded import Banded
 from mapmerge_ros.fusion.joint.cost import JointCost, State
 from mapmerge_ros.fusion.joint.coupling import Meetings, couple
-from mapmerge_ros.fusion.joint.root import Root, scratch_size
-from mapmerge_ros.fusion.joint.start import inverse_of_each, turned_information
+from mapmerge_ros.fusion.joint.root import Root, in_scratch, scratch_size
+from mapmerge_ros.fusion.joint.start import as_matrices, inverse_of_each, turned_information
 from mapmerge_ros.fusion.joint.trust import Trust
-from mapmerge_ros.fusion.members import grouped
 from mapmerge_ros.geometry import Gauge, generators
 from mapmerge_ros.submap import unpack
 
@@ -161,8 +160,7 @@ class Balanced:
         scratch = np.empty(scratch_size(3 * int(cost.segments.lengths.max())), np.float32)
         for k, root in enumerate(cost.roots):
             rows = cost.segments.rows(k)
-            triangle = scratch[: scratch_size(root.columns)]
-            triangle[: len(root.packed)] = root.packed
+            triangle = in_scratch(root.packed, root.columns, scratch)
             # By elimination: where R leaves the last coordinates free, they stay.
             last = min(Gauge.SIMILARITY, root.columns)
             triangle[len(triangle) - scratch_size(last) :] = IDENTITIES[last]
@@ -216,12 +214,14 @@ def balanced(cost: JointCost, state: State) -> Balanced | None:
     moving = generators(state.moved - cost.centres_map[owners], Gauge.SIMILARITY)
     motions = places @ moving
     pulls, frames = couple(cost, state, motions, met)
-    order, ends = grouped(cost.tracks, cost.count)
+    (by_track,) = as_matrices(cost, motions)
     return Balanced(
         cost,
         places,
-        _by_map(_orthonormal(cost, still), owners, np.arange(len(owners) + 1)),
-        _by_map(motions[order], owners[order], ends),
+        scipy.sparse.bsr_array(
+            (_orthonormal(cost, still), owners, np.arange(len(owners) + 1))
+        ).tocsr(),
+        by_track.tocsr(),
         met.neighbours,
         pulls,
         np.array([_held(root) for root in cost.roots]),
@@ -243,12 +243,6 @@ def _held(root: Root) -> Floats:
         inverse = np.linalg.pinv(unpack(own, last, rows), rcond=HELD)
         held[-last:, -last:] = inverse @ inverse.T
     return held
-
-
-def _by_map(blocks: Floats, maps: Ints, ends: Ints) -> scipy.sparse.csr_array:
-    """Blocks (n, 3, 7), those from ends[k] to ends[k + 1] in row k and in the column of a map."""
-    shape = 3 * (len(ends) - 1), 7 * (int(maps.max()) + 1)
-    return scipy.sparse.bsr_array((blocks, maps, ends), shape=shape).tocsr()
 
 
 def _orthonormal(cost: JointCost, columns: Floats) -> Floats:

@@ -80,7 +80,7 @@ def _pulls(
     """
     linear, answer = state.S_map_globals.linear(), low_rank(cost, state)
     gauge = Gauge(int(cost.gauges.min()))
-    holder = int(np.argmax(np.where(cost.gauges == gauge, cost.segments.lengths, 0)))
+    holder = middle(cost, state.points)
     moved = linear[cost.segments.owners[met.first]] @ motions[met.second]
     moved = moved.transpose(0, 2, 1)
     unpacked = Unpacked(3 * int(cost.segments.lengths.max()))
@@ -92,7 +92,8 @@ def _pulls(
         x = by_map.reshape(7 * m, n).T
         resisted = np.zeros((7 * m, 7 * m))
         if k == holder and gauge:
-            as_a_whole = gauge_basis(state.moved[rows], gauge).T @ x
+            basis = gauge_basis(state.points[cost.tracks[rows]], gauge).reshape(-1, 3, int(gauge))
+            as_a_whole = (state.S_map_globals.rotations[k] @ basis).reshape(n, -1).T @ x
             size = np.einsum('mii->', cost.information[rows]) / n
             resisted = size * (as_a_whole.T @ as_a_whole)
         left, right = (side[rows].reshape(n, -1) for side in (answer.left, answer.right))
@@ -106,3 +107,13 @@ def _pulls(
         turned = x.T.reshape(-1, 3) @ linear[k]
         pull = turned.reshape(7 * m, n).T.astype(np.float32)
         yield pull, resisted.reshape(m, 7, m, 7).transpose(0, 2, 1, 3).reshape(-1, 7, 7)
+
+
+def middle(cost: JointCost, points: Floats) -> int:
+    """Map nearest to the middle of all, among those with many landmarks."""
+    segments = cost.segments
+    shared = segments.counts(cost.weights > 0.0)
+    places = segments.sums(points[cost.tracks]) / segments.lengths[:, None]
+    distances = np.linalg.norm(places - np.median(places, axis=0), axis=1)
+    distances[shared < np.median(shared)] = np.inf
+    return int(np.argmin(distances))

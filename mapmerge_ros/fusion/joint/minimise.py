@@ -18,6 +18,7 @@ from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.acceleration import Acceleration
 from mapmerge_ros.fusion.joint.balancing import balanced, pays
 from mapmerge_ros.fusion.joint.cost import JointCost, State
+from mapmerge_ros.fusion.joint.coupling import middle
 from mapmerge_ros.fusion.joint.dissection import dissect
 from mapmerge_ros.fusion.joint.factor import Carried, Factor
 from mapmerge_ros.fusion.joint.factorise import Elements, factorise
@@ -145,7 +146,6 @@ def minimise(
             promises, enough, matrix, config.max_iterations - iteration
         ):
             matrix.renew()
-            promises = []
     return Estimate(
         state.points, state.cost, config.max_iterations, False, tuple(history), state=state
     )
@@ -263,13 +263,3 @@ def held_by(cost: JointCost, state: State, gauge: Gauge, k: int, order: Ints, ou
     held[used] = basis.reshape(-1, 3, basis.shape[1])
     size = np.einsum('ii->i', out).reshape(-1, 3)[used].mean()
     add_square(out, np.asfortranarray(held.reshape(len(out), -1)), size)
-
-
-def middle(cost: JointCost, points: Floats) -> int:
-    """Map nearest to the middle of all, among those with many landmarks."""
-    segments = cost.segments
-    shared = segments.counts(cost.weights > 0.0)
-    places = segments.sums(points[cost.tracks]) / segments.lengths[:, None]
-    distances = np.linalg.norm(places - np.median(places, axis=0), axis=1)
-    distances[shared < np.median(shared)] = np.inf
-    return int(np.argmin(distances))

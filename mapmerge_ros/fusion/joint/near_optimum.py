@@ -14,9 +14,10 @@ from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.element import coordinates
 from mapmerge_ros.fusion.joint import derivatives
 from mapmerge_ros.fusion.joint.cost import JointCost, State
+from mapmerge_ros.fusion.joint.coupling import middle
 from mapmerge_ros.fusion.joint.covariance import Gathering, Uncertainty
 from mapmerge_ros.fusion.joint.factorise import factorise
-from mapmerge_ros.fusion.joint.minimise import held_by, middle, plan
+from mapmerge_ros.fusion.joint.minimise import held_by, plan
 from mapmerge_ros.fusion.quadratic import Members, Quadratic
 from mapmerge_ros.geometry import Gauge, gauge_basis
 

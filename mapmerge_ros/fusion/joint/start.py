@@ -112,7 +112,7 @@ def _steps(cost: JointCost, frames: Similarities, free: Mask) -> Floats:
     own = cost.segments.products(weighted, tangents)
     own[:, range(7), range(7)] += ~free
     blocks = scipy.sparse.bsr_array((own, np.arange(maps), np.arange(maps + 1)))
-    pulls, answers = _as_matrices(cost, weighted, inverse[cost.tracks] @ weighted)
+    pulls, answers = as_matrices(cost, weighted, inverse[cost.tracks] @ weighted)
     matrix = scipy.sparse.bsr_array(blocks - pulls.T @ answers, blocksize=(7, 7))
     right = cost.segments.sums(np.einsum('mia,mi->ma', weighted, apart))
     rows = np.repeat(np.arange(maps), np.diff(matrix.indptr))
@@ -122,7 +122,7 @@ def _steps(cost: JointCost, frames: Similarities, free: Mask) -> Floats:
         return np.full((maps, 7), np.nan)
 
 
-def _as_matrices(cost: JointCost, *each: Floats) -> list[scipy.sparse.bsr_array]:
+def as_matrices(cost: JointCost, *each: Floats) -> list[scipy.sparse.bsr_array]:
     """Values (rows, 3, 7) of members, each as a matrix (3 tracks, 7 maps)."""
     order, ends = grouped(cost.tracks, cost.count)
     maps, shape = cost.segments.owners[order], (3 * cost.count, 7 * len(cost))
