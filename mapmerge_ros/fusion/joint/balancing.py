@@ -33,7 +33,7 @@ FEWEST = 16
 """
 Sub-maps from which balanced steps cost less than a factorisation.
 
-12 of them do for 16 drones and 20 for 1024: they take three quarters of the time at 16, half at
+12 of them do for 16 drones and 18 for 1024: they take three quarters of the time at 16, half at
 64, a quarter at 1024.
 """
 
