@@ -49,6 +49,11 @@ def binomial_tail(hits: int, count: int, share: float) -> float:
     return float(special.bdtrc(hits - 1, count, share)) if hits > 0 else 1.0
 
 
+def product_tail(product: float) -> float:
+    """Probability of at most this `product` of two independent p-values (Fisher 1932)."""
+    return product * (1.0 - float(np.log(product))) if product > 0.0 else 0.0
+
+
 def f_log_distribution(value: float | Floats, dof: float, freedom: float) -> Floats:
     """Logarithm of the probability of at most `value` under F(dof, freedom)."""
     below = special.fdtr(dof, freedom, value)

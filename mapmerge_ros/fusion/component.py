@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.covariance_model import CovarianceModel
 from mapmerge_ros.fusion.examination import Examination
 from mapmerge_ros.fusion.joint.covariance import Uncertainty
+from mapmerge_ros.fusion.joint.near_optimum import near_optimum
+from mapmerge_ros.fusion.misfit import misfits
 from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.fusion.noise import Noise, pool_noise
 from mapmerge_ros.fusion.outcome import Verdict
@@ -91,8 +94,14 @@ def merge_component(
         examination=first.examination,
         changes=state.changes(submaps, merged.component.names),
     )
-    ratios = np.zeros(0) if state.verdict.accepted else _cost_ratios(state.solution)
-    return replace(merged, component=component, cost_ratios=ratios, factor=None)
+    merged = replace(merged, component=component, factor=None)
+    if state.verdict.accepted:
+        return merged
+    return replace(
+        merged,
+        cost_ratios=_cost_ratios(state.solution),
+        misfits=partial(_misfits, state.solution, task.noise.sigma),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,6 +237,18 @@ def _cost_ratios(solution: Solution) -> Floats:
         residuals = element.residuals(element.place(solution.estimate.points))
         ratios[k] = residuals @ residuals / max(len(residuals), 1)
     return ratios
+
+
+def _misfits(solution: Solution, sigma: float, slots: Sequence[int]) -> list[float]:
+    """How badly each of some sub-maps fits the others; empty where these cannot tell."""
+    cost, points = solution.reduced, solution.estimate.points
+    gauge = Gauge(int(cost.gauges.min()))
+    try:
+        tests = misfits(near_optimum(cost, cost.evaluate(points), gauge, sigma), slots)
+    except (DegenerateGeometry, np.linalg.LinAlgError):
+        return []
+    found = [test.ratio for test in tests if test]
+    return found if len(found) == len(slots) else []
 
 
 def choose_anchor(submaps: Sequence[SubMap], gauge: Gauge) -> Anchor:

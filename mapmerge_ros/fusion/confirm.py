@@ -40,10 +40,13 @@ picked from landmarks that did not move has less: 0.38 (30 of Brighton), 0.36 to
 pairs of Caliterra).
 """
 
-BEYOND_BENDS = 7.0
+BEYOND_BENDS, MOSTLY = 7.0, 0.65
 """
-Displacement [ω] from which what is smaller than a bend need not be of one piece: at the rim of a
-map twelve neighbours are not always. Two maps differ by 4.8 ω (1 in 100), what was picked by 5.8.
+Displacement [ω] from which what is smaller than a bend need not be of one piece, and how much of
+it there has to be: at the rim of a map twelve neighbours are not always; such have 0.71 to 0.9.
+
+Two maps differ by 4.8 ω (1 in 100), what was picked by 5.8, or by 9.1 (15 of 150 landmarks of
+Boruszyn, of one piece to 0.53 at most).
 """
 
 COMPACT_RADII = 0.3
@@ -110,8 +113,10 @@ def _stands(moved: MovedObject, model: CovarianceModel, radius: float) -> bool:
     if model.is_textbook or moved.extent <= COMPACT_RADII * radius:
         return True
     # Of one piece, or it was picked; and as large as the bends of a lens, it has to be no bend.
-    is_scattered = moved.together < 1.0 - BORDER / np.sqrt(len(moved.members))
+    usual = 1.0 - BORDER / np.sqrt(len(moved.members))
+    is_scattered = moved.together < usual
     if moved.extent > SMOOTH_RADII * radius:
         return not is_scattered and moved.unbent >= least * scale
     distances = np.linalg.norm(moved.motion.of_members()[0], axis=1)
-    return not is_scattered or float(np.median(distances)) >= BEYOND_BENDS * model.omega
+    is_far = float(np.median(distances)) >= BEYOND_BENDS * model.omega
+    return not is_scattered or (is_far and moved.together >= MOSTLY * usual)

@@ -28,6 +28,9 @@ from mapmerge_ros.geometry import scene_radius
 SMOOTH_RADII = 0.7
 """Length of the smooth field, in scene radii: a lens that is wrong bends a map over its extent."""
 
+MANY_CONTRASTS = 50
+"""Fewer do not carry three variances and their tails without what is known of them before."""
+
 Sparse: TypeAlias = scipy.sparse.csc_array
 
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ints
-from mapmerge_ros.distributions import binomial_tail, chi2_quantile, tail
+from mapmerge_ros.distributions import binomial_tail, chi2_quantile, product_tail, tail
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.conditional import conditional_tests
 from mapmerge_ros.fusion.confirm import (
@@ -24,7 +24,7 @@ from mapmerge_ros.fusion.confirm import (
     p_objects,
     without_bystanders,
 )
-from mapmerge_ros.fusion.contrasts import Contrasts, contrasts
+from mapmerge_ros.fusion.contrasts import MANY_CONTRASTS, Contrasts, contrasts
 from mapmerge_ros.fusion.covariance_model import (
     LARGEST_TAIL,
     TEXTBOOK,
@@ -43,7 +43,7 @@ from mapmerge_ros.fusion.objects import (
     MovedObject,
     find_objects,
 )
-from mapmerge_ros.fusion.plausible import largest_variances
+from mapmerge_ros.fusion.plausible import largest_variances, p_plausible
 from mapmerge_ros.fusion.quadratic import Quadratic
 from mapmerge_ros.fusion.scales import wrong_scale
 from mapmerge_ros.fusion.tails import GAUSSIAN, are_gaussian
@@ -54,9 +54,6 @@ Of fewer nothing can be said; of more, every n-th track stands for all.
 
 The cost goes with the cube: 600 take 0.3 s a step.
 """
-
-MANY_CONTRASTS = 50
-"""Fewer do not carry three variances and their tails without what is known of them before."""
 
 MIN_GAIN, MIN_GAIN_OF_FEW = 8.0, 3.0
 """
@@ -70,12 +67,8 @@ maps with 4 to 50 landmarks in common often less, and the textbook refuses two i
 BAD_LEVEL, BAD_SHARE = 1e-3, 0.01
 """p-value from which a landmark is one too many, and the share of those that is believed."""
 
-MAX_ASIDE = 0.15
-"""
-Share of the landmarks that may be set aside.
-
-EuRoC has up to 13 % if its bad tracks are compressed as well, Caliterra 8 %.
-"""
+MAX_SINGLES = 0.15
+"""Share of the landmarks that are unlocked one by one, at most, where the textbook is believed."""
 
 TESTED_FIRST = 0.05
 """p-value of the textbook from which nothing else is fitted, if the landmarks look Gaussian."""
@@ -173,7 +166,7 @@ def _with_doubtful(plain: Examination, state: Sensitivity) -> Examination:
     moved = members_of(plain.objects)
     rest = state.unlock(moved) if len(moved) else state
     _, singles = forward_selection(
-        rest, BAD_LEVEL, int(MAX_ASIDE * len(np.unique(state.members.tracks)))
+        rest, BAD_LEVEL, int(MAX_SINGLES * len(np.unique(state.members.tracks)))
     )
     tests = conditional_tests(state, np.union1d(moved, singles))
     return replace(plain, tests=tests, doubtful=doubtful_members(tests, moved))
@@ -231,16 +224,20 @@ def _state(
 
 
 def _judged(fitted: Fitted, redundancy: float) -> Examination:
-    """Believe the rest by its price, the number of bad landmarks and the worst of them."""
-    count = len(fitted.statistics)
-    p_values = fitted.model.tails.p_value(fitted.statistics, redundancy)
+    """
+    Believe the rest by its price, the number of bad landmarks and the worst of them.
+
+    And by what had to be believed of the maps for that, all of it together.
+    """
+    count, model = len(fitted.statistics), fitted.model
+    p_values = model.tails.p_value(fitted.statistics, redundancy)
     bad = int((p_values < BAD_LEVEL).sum())
+    plausible = p_plausible(model.phi, model.omega / model.radius, len(fitted.aside), count)
+    price = float(tail(np.array(fitted.price), fitted.dof, redundancy))
     parts = (
-        float(tail(np.array(fitted.price), fitted.dof, redundancy)),
+        product_tail(price * plausible),
         binomial_tail(bad, count, BAD_SHARE),
         float(-np.expm1(count * np.log1p(-p_values.min(initial=0.5)))),
     )
     p_value = min(1.0, len(parts) * min(parts))
-    if len(fitted.aside) > MAX_ASIDE * count:
-        p_value = 0.0
-    return Examination(fitted.price, fitted.dof, p_value, model=fitted.model, aside=fitted.aside)
+    return Examination(fitted.price, fitted.dof, p_value, model=model, aside=fitted.aside)

@@ -107,7 +107,7 @@ class Search:
                 if trial.explains_all:
                     break
         if believed:
-            return _likeliest(believed)
+            return self._likeliest(believed)
         trial, step = alone[0], 1
         while trial is not None:
             room = (len(self.group) - 1) // 2 - len(trial.without)
@@ -118,6 +118,24 @@ class Search:
             if trial and self._believes(trial):
                 return self._given_back(trial, trial.without)
         return None
+
+    def _likeliest(self, trials: Sequence[Trial]) -> Trial:
+        """
+        Most left over; of those the one that fits the others worst, as far as they can tell.
+
+        What is left unexplained of real maps is more the more are left to contradict each other:
+        where errors of the size that is claimed explain it, it decides, within chance. And then
+        who costs most.
+        """
+        size = max(trial.size for trial in trials)
+        largest = [trial for trial in trials if trial.size == size]
+        best = min(largest, key=lambda trial: trial.unexplained)
+        if len(largest) > 1 and not best.explains_all:
+            misfits = self.whole.misfits([self.group.index(x.without[0]) for x in largest])
+            if len(misfits):
+                return largest[int(np.argmax(misfits))]
+        alike = [each for each in largest if each.unexplained <= best.unexplained + best.spread]
+        return max(alike, key=lambda trial: trial.price_ratio)
 
     def _given_back(self, trial: Trial, some: Group) -> Trial:
         """Give back all of `some` that the rest agrees with."""
@@ -160,15 +178,6 @@ class Search:
         wrong = names == [suspect] or (trial.price_ratio >= MIN_RATIO and not by_chance)
         accepted = trial.main.component.verdict.accepted
         return most and wrong and accepted and self.is_certain(trial.parts[0][0])
-
-
-def _likeliest(trials: Sequence[Trial]) -> Trial:
-    """Most left over, little of it unexplained; where chance decides, who costs most."""
-    size = max(trial.size for trial in trials)
-    largest = [trial for trial in trials if trial.size == size]
-    best = min(largest, key=lambda trial: trial.unexplained)
-    alike = [each for each in largest if each.unexplained <= best.unexplained + best.spread]
-    return max(alike, key=lambda trial: trial.price_ratio)
 
 
 def _strangest_first(group: Group, merged: Merged) -> Group:

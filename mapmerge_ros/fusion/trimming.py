@@ -8,14 +8,18 @@ import numpy as np
 
 from mapmerge_ros.arrays import Floats, Ints
 from mapmerge_ros.distributions import chi2_quantile
-from mapmerge_ros.fusion.contrasts import Contrasts
+from mapmerge_ros.fusion.contrasts import MANY_CONTRASTS, Contrasts
 from mapmerge_ros.fusion.likelihood import SEEN, Weighing
 
 TRIM = chi2_quantile(1e-3, 3)
 """Statistic beyond which a landmark has no say in the fit: of Gaussian ones, one in a thousand."""
 
-MOST_ASIDE = 0.25
-"""Share of the tracks that may be set aside: what is left has to be the rule."""
+MOST_ASIDE, MOST_ASIDE_OF_FEW = 0.25, 0.15
+"""
+Share of the tracks that may be set aside: what is left has to be the rule.
+
+Of few, chance makes the bulk look narrow once its widest are gone.
+"""
 
 KEEP_TRIMMED = 0.8
 """Share of `TRIM` below which a landmark gets its say back; less than 1, or it goes in circles."""
@@ -39,7 +43,8 @@ def trimmed(data: Contrasts, weighing: Weighing, aside: Ints, moved: Ints) -> tu
     is_last = np.append(np.diff(data.owners[order]) > 0, True)
     worst = order[is_last & (statistics[order] > 0.0)]
     chosen = worst[statistics[worst] > limits[worst]]
-    most = int(MOST_ASIDE * len(worst))
+    share = MOST_ASIDE if len(data.tracks) >= MANY_CONTRASTS else MOST_ASIDE_OF_FEW
+    most = int(share * len(worst))
     chosen = chosen[np.argsort(-statistics[chosen], kind='stable')][:most]
     return np.sort(_together(data, weighing, chosen)), statistics[worst]
 

@@ -20,7 +20,7 @@ from mapmerge_ros.fusion.joint.cost import JointCost
 from mapmerge_ros.fusion.joint.covariance import Uncertainty
 from mapmerge_ros.fusion.joint.near_optimum import near_optimum
 from mapmerge_ros.fusion.merge import Estimate
-from mapmerge_ros.fusion.misfit import MAX_RATIO, worst_map
+from mapmerge_ros.fusion.misfit import worst_map
 from mapmerge_ros.fusion.noise import Noise
 from mapmerge_ros.fusion.outcome import ErrorModel, Verdict
 from mapmerge_ros.fusion.overlap import Link
@@ -117,7 +117,7 @@ def _unless_one_is_wrong(
         worst = worst_map(merge)
     except (DegenerateGeometry, np.linalg.LinAlgError):
         return verdict
-    if worst is None or worst.ratio <= MAX_RATIO:
+    if worst is None or worst.is_believed:
         return verdict
     suspect = map_ids[worst.k]
     reason = f'{suspect} alone differs {worst.ratio:.3g} times as much as the errors of the others'
