@@ -18,6 +18,7 @@ from mapmerge_ros.distributions import (
     f_log_density,
     f_log_distribution,
     f_tail,
+    product_tail,
     tail,
 )
 
@@ -32,6 +33,14 @@ def test_tails_are_those_of_scipy_stats(dof: int) -> None:
         exact = scipy.stats.f.sf(VALUES, dof, freedom)
         np.testing.assert_allclose(f_tail(VALUES, dof, freedom), exact, 1e-12)
         np.testing.assert_allclose(tail(dof * VALUES, dof, freedom), exact, 1e-9)
+
+
+@pytest.mark.parametrize(('p', 'q'), [(0.3, 0.9), (1e-4, 1.0), (0.02, 0.03), (1e-200, 1e-200)])
+def test_two_p_values_are_combined_as_fisher_did(p: float, q: float) -> None:
+    exact = scipy.stats.combine_pvalues([p, q], method='fisher').pvalue
+    assert product_tail(p * q) == pytest.approx(exact, rel=1e-9, abs=1e-300)
+    assert product_tail(1.0) == 1.0
+    assert product_tail(0.0) == 0.0
 
 
 def test_nothing_is_probable_without_a_degree_of_freedom() -> None:

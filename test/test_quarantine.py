@@ -13,7 +13,7 @@ from gaussian_merges import merged, noise, scene
 from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, fuse
 from mapmerge_ros.fusion.contrasts import contrasts
 from mapmerge_ros.fusion.likelihood import weigh
-from mapmerge_ros.fusion.misfit import MAX_RATIO, without_map, worst_map
+from mapmerge_ros.fusion.misfit import MapTest, misfits, without_map, worst_map
 from mapmerge_ros.fusion.quarantine import Search
 from mapmerge_ros.io.summary import summarise
 from mapmerge_ros.submap import SubMap
@@ -169,8 +169,8 @@ def test_many_culprits_take_few_merges(submaps):
 
 
 class Fake:
-    def __init__(self, component, cost_ratios):
-        self.component, self.cost_ratios = component, cost_ratios
+    def __init__(self, component, cost_ratios, misfits=lambda slots: ()):
+        self.component, self.cost_ratios, self.misfits = component, cost_ratios, misfits
 
 
 def test_contrasts_without_a_map_are_those_of_the_others():
@@ -204,7 +204,56 @@ def test_a_map_that_is_noisier_than_the_others_is_the_worst():
         found.append(worst_map(merged(points, members, matrices, errors)))
     assert max(ratios) < 1.3
     assert {test.k for test in found} == {2}
-    assert min(test.ratio for test in found) > MAX_RATIO
+    assert not any(test.is_believed for test in found)
+
+
+def test_each_map_is_tested_by_the_errors_of_the_others():
+    rng = np.random.default_rng(1)
+    points, members, matrices = scene(rng, maps=4, landmarks=70, views=(3, 4))
+    errors = noise(rng, points, members, matrices)
+    errors[members.of_map(1)] *= 3.0
+    merge = merged(points, members, matrices, errors)
+    found = misfits(merge, [3, 1, 0])
+    assert [test.k for test in found] == [3, 1, 0]
+    assert np.argmax([test.ratio for test in found]) == 1
+    assert found[1] == worst_map(merge)
+
+
+def test_a_map_of_few_landmarks_may_be_further_off_by_chance():
+    def test(ratio, landmarks):
+        return MapTest(0, ratio * (3 * landmarks - 7), 3 * landmarks - 7, landmarks)
+
+    assert test(2.9, 10).is_believed
+    assert not test(2.9, 200).is_believed
+    assert test(2.2, 100_000).is_believed
+    assert not test(2.3, 100_000).is_believed
+
+
+def rivals(submaps, misfits):
+    """Search in a group of four: without the first or the second the others are believed."""
+    plain = fuse(submaps[:3]).components[0]
+
+    def merged_group(left):
+        both = {0, 1} <= set(left)
+        # What is left of real maps without the second, who has more in common, is less.
+        price = plain.verdict.dof * (9.0 if both else 3.0 + (1 in left))
+        verdict = replace(plain.verdict, accepted=not both, a_tilde=price * plain.verdict.sigma**2)
+        component = replace(plain, map_ids=tuple(map(str, left)), verdict=verdict)
+        return Fake(component, np.arange(len(left)) + 1.0, misfits)
+
+    def merge_without(culprits):
+        left = tuple(k for k in range(4) if k not in culprits)
+        return [(left, merged_group(left))]
+
+    whole = merged_group((0, 1, 2, 3))
+    return Search((0, 1, 2, 3), whole, merge_without, lambda part: True, lambda part: 0)
+
+
+def test_of_two_that_contradict_each_other_the_one_is_named_that_the_others_explain_less(submaps):
+    """Not the one without whom less is left to be explained: that has most in common."""
+    by_misfit = rivals(submaps, lambda slots: [{0: 3.4, 1: 1.9}[slot] for slot in slots])
+    assert by_misfit.culprits().without == (0,)
+    assert rivals(submaps, lambda slots: ()).culprits().without == (1,)
 
 
 def test_of_two_maps_none_is_the_worst():

@@ -9,7 +9,7 @@ pytest.importorskip('pycolmap')
 
 from mapmerge_ros.experiments.region import reported_p
 from mapmerge_ros.experiments.room import SIGMA, WIDTHS, simulate_room, true_points
-from mapmerge_ros.fusion import fuse, valley
+from mapmerge_ros.fusion import FusionConfig, fuse, valley
 from mapmerge_ros.geometry import gauge_basis
 from mapmerge_ros.submap import alignment_weights
 
@@ -57,3 +57,15 @@ def test_a_well_determined_merge_pays_nothing(straight):
     submaps, merged, truth = outgoing(0, 'wide')
     assert np.array_equal(merged.packed_r, straight(submaps).packed_r)
     assert reported_p(merged, truth, SIGMA) > 0.01
+
+
+def test_a_refusal_says_whose_rotation_is_open() -> None:
+    """A wrong basin from one start: what errors of real maps would explain is not asked."""
+    room = simulate_room(np.random.default_rng([5, 27]), 0.1)
+    verdict = fuse(room.submaps(), FusionConfig(max_starts=1)).verdict
+    assert not verdict.accepted
+    assert verdict.errors is None
+    assert verdict.reason.endswith(
+        'the rotation of map2, map3 and map4 among the others is known to no better than '
+        '0.1 rad, so a wrong place is not told from errors of the maps'
+    )

@@ -12,8 +12,8 @@ from mapmerge_ros.arrays import Floats
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.outgoing import Merged
-from mapmerge_ros.fusion.quarantine import Trial
-from mapmerge_ros.fusion.refusal import Quarantine, Refusal
+from mapmerge_ros.fusion.quarantine import MIN_RATIO, Trial
+from mapmerge_ros.fusion.refusal import Quarantine, Refusal, listed
 from mapmerge_ros.fusion.wrong_ids import MIRROR
 from mapmerge_ros.geometry import Gauge, align_robustly, scene_radius
 from mapmerge_ros.submap import SubMap
@@ -88,15 +88,17 @@ def _apart(points_global: Floats, points_map: Floats, gauge: Gauge) -> float:
 
 
 def _in_words(evidence: Quarantine, trial: Trial, merged: Merged) -> str:
-    names = ' and '.join(
-        filter(None, [', '.join(evidence.contradicts[:-1]), *evidence.contradicts[-1:]])
-    )
     whose = 'it' if len(trial.without) == 1 else f'{len(trial.without)} such sub-maps'
     p_value = f'{evidence.p_value:.1e}' if evidence.p_value > 1e-300 else 'below 1e-300'
-    return (
-        f'quarantined: it contradicts {names}; half of its landmarks are more than '
-        f'{evidence.distance:.3g} off ({evidence.distance_ratio:.2%} of the scene). The other '
-        f'{len(merged.component.map_ids)} agree (p {merged.component.verdict.p_value:.2g}), and '
+    price = (
         f'{whose} would add {evidence.price_ratio:.3g} times what their noise explains '
         f'(p {p_value})'
+    )
+    suspected = trial.suspicion and evidence.price_ratio < MIN_RATIO
+    return (
+        f'quarantined: it contradicts {listed(evidence.contradicts)}; half of its landmarks are '
+        f'more than {evidence.distance:.3g} off ({evidence.distance_ratio:.2%} of the scene). The '
+        f'other {len(merged.component.map_ids)} agree '
+        f'(p {merged.component.verdict.p_value:.2g}), and '
+        f'{trial.suspicion if suspected else price}'
     )

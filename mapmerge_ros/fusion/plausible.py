@@ -24,8 +24,8 @@ HONEST_ASIDE, ASIDE_STD = 0.10, 0.025
 """
 Errors of EuRoC and Caliterra, with 30 to 300 landmarks of all tracks, and how much they vary.
 
-Of the share that is aside it is what chance does not explain. Ladybug, Brighton and Boruszyn, for
-checking, are within 9.9 of the χ²(3) that 14 refuses.
+Of the share that is aside it is what chance does not explain. Their sums of squares are up to 5.3,
+those of Ladybug, Brighton and Boruszyn, for checking, 9.9; 17 refuses if nothing else does.
 """
 
 

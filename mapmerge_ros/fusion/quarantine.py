@@ -63,6 +63,8 @@ class Trial:
     """Price of the rest over its expectation [σ²], and what had to be taken out of it"""
     spread: float
     """How far chance takes that: two standard deviations"""
+    suspicion: str = ''
+    """Why the culprit was suspected from the start, if it was"""
 
     @property
     def explains_all(self) -> bool:
@@ -166,16 +168,16 @@ class Search:
             len(part.component.changes) + self.contradictions(group) for group, part in parts
         )
         spread = 2.0 * float(np.sqrt(2.0 * sum(each.dof for each in rest)))
-        return Trial(culprits, parts, statistic / max(dof, 1), p_value, left, spread)
+        names = [self.whole.component.map_ids[self.group.index(k)] for k in culprits]
+        suspicion = verdict.reason if names == [verdict.suspect] else ''
+        return Trial(culprits, parts, statistic / max(dof, 1), p_value, left, spread, suspicion)
 
     def _believes(self, trial: Trial) -> bool:
         """Whether most are believed without the culprits, who cost more than chance may."""
         most = 2 * trial.size > len(self.group)
-        suspect = self.whole.component.verdict.suspect
-        names = [self.whole.component.map_ids[self.group.index(k)] for k in trial.without]
         by_chance = trial.p_value * len(self.group) > MAX_CHANCE * len(trial.without)
         # who was suspected was so by a test that does not leave it to chance
-        wrong = names == [suspect] or (trial.price_ratio >= MIN_RATIO and not by_chance)
+        wrong = bool(trial.suspicion) or (trial.price_ratio >= MIN_RATIO and not by_chance)
         accepted = trial.main.component.verdict.accepted
         return most and wrong and accepted and self.is_certain(trial.parts[0][0])
 

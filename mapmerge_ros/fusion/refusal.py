@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 
@@ -30,3 +31,8 @@ class Refusal:
     map_id: str
     reason: str
     quarantine: Quarantine | None = None
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names as a sentence has them: a, b and c."""
+    return ' and '.join(filter(None, [', '.join(names[:-1]), *names[-1:]]))

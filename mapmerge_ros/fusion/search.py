@@ -90,8 +90,14 @@ def _resumed(cost: JointCost, start: Start, gauge: Gauge, config: FusionConfig) 
 
 def is_certain(links: Sequence[Link], count: int) -> bool:
     """Whether links that determine every rotation well connect all sub-maps: one basin only."""
+    return not loosely_tied(links, count)
+
+
+def loosely_tied(links: Sequence[Link], count: int) -> tuple[int, ...]:
+    """Sub-maps that such links do not connect to most of the others: they may be turned."""
     firm = [link for link in links if link.turn and link.turn.std_rad <= WEAK_TURN_RAD]
-    return len(components(count, firm)) == 1
+    _, *others = components(count, firm)
+    return tuple(sorted(k for group in others for k in group))
 
 
 def _starts(links: Sequence[Link], count: int) -> Iterator[tuple[Sequence[Link], int]]:

@@ -25,8 +25,12 @@ from mapmerge_ros.fusion.noise import Noise
 from mapmerge_ros.fusion.outcome import ErrorModel, Verdict
 from mapmerge_ros.fusion.overlap import Link
 from mapmerge_ros.fusion.quadratic import Quadratic
-from mapmerge_ros.fusion.search import is_certain
+from mapmerge_ros.fusion.refusal import listed
+from mapmerge_ros.fusion.search import WEAK_TURN_RAD, loosely_tied
 from mapmerge_ros.geometry import Gauge
+
+MOST_NAMED = 3
+"""Sub-maps that are named in one sentence."""
 
 
 def degrees_of_freedom(views: Ints, gauges: Sequence[Gauge], gauge: Gauge) -> int:
@@ -88,11 +92,14 @@ def verify_merge(
     large = is_large(reduced.segments.lengths, len(estimate.points))
     if large and textbook.p_value >= TESTED_FIRST:
         return textbook, by_textbook(estimate.cost / noise.sigma**2, dof, redundancy)
-    certain = estimate.converged and is_certain(links, len(reduced))
+    loose = loosely_tied(links, len(reduced))
+    certain = estimate.converged and not loose
     state = reduced.evaluate(estimate.points)
     merge = near_optimum(reduced, state, gauge, noise.sigma, learn)
     found = examine(merge, redundancy, certain=certain, known=known)
     verdict = _judged(textbook, found, config)
+    if loose and verdict.reason:
+        verdict = replace(verdict, reason=f'{verdict.reason}; {_may_be_turned(loose, map_ids)}')
     return _unless_one_is_wrong(verdict, found, merge, map_ids, certain=certain), found
 
 
@@ -159,6 +166,16 @@ def _why(textbook: Verdict, p_value: float, moved: int, aside: int, errors: Erro
     return (
         f'{price}, and no plausible error of the maps does (p {_rounded(p_value)}; variances × '
         f'{errors.phi:.2g}, warp {errors.omega_ratio:.2%} of the scene, {aside} landmarks aside)'
+    )
+
+
+def _may_be_turned(loose: Sequence[int], map_ids: Sequence[str]) -> str:
+    """Why errors of the maps are not asked whether they explain the price."""
+    names = [map_ids[k] for k in loose[:MOST_NAMED]]
+    names += [f'{len(loose) - MOST_NAMED} more'] if len(loose) > MOST_NAMED else []
+    return (
+        f'the rotation of {listed(names)} among the others is known to no better than '
+        f'{WEAK_TURN_RAD:g} rad, so a wrong place is not told from errors of the maps'
     )
 
 
