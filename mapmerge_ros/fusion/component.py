@@ -25,10 +25,11 @@ from mapmerge_ros.fusion.noise import Noise, pool_noise
 from mapmerge_ros.fusion.outcome import Verdict
 from mapmerge_ros.fusion.outgoing import Merged, compress_component
 from mapmerge_ros.fusion.overlap import Link, components
+from mapmerge_ros.fusion.quadratic import Quadratic
 from mapmerge_ros.fusion.solution import Anchor, Solution, solve
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.unlock import Examined, find_doubtful, find_off, too_much, unlocked
-from mapmerge_ros.fusion.verify import verify_merge
+from mapmerge_ros.fusion.verify import Verified, unless_one_is_wrong, verify_merge
 from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.geometry import Gauge, Similarity
 from mapmerge_ros.submap import SubMap
@@ -74,6 +75,8 @@ def merge_component(
         if following is None:
             break
         state = following
+    with stopwatch.measure('test'):
+        state = task.judged(state)
     with stopwatch.measure('compress'):
         merged = compress_component(
             submaps,
@@ -100,7 +103,7 @@ def merge_component(
     return replace(
         merged,
         cost_ratios=_cost_ratios(state.solution),
-        misfits=partial(_misfits, state.solution, task.noise.sigma),
+        misfits=partial(task.misfits, state.solution),
     )
 
 
@@ -110,11 +113,20 @@ class _State:
 
     association: Association
     solution: Solution
-    verdict: Verdict
-    examination: Examination | None
+    verified: Verified
     taken_out: tuple[Off, ...]
     uncertainty: Uncertainty | None
     """Of the solution, where the examination has come across it"""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict on what is merged."""
+        return self.verified.verdict
+
+    @property
+    def examination(self) -> Examination | None:
+        """Tests of what is merged."""
+        return self.verified.examination
 
     def told(self) -> Verdict:
         """Verdict on what is merged, with the number of landmarks that are not."""
@@ -182,13 +194,12 @@ class _Task:
         # What private landmarks are known to is not part of the inverse of the shared ones.
         learn = learnt.append if solution.reduced is solution.cost else None
         with self.stopwatch.measure('test'):
-            gauge = min(submap.gauge for submap in self.submaps)
-            verdict, examination = verify_merge(
-                [submap.map_id for submap in self.submaps],
+            verified = verify_merge(
+                self.map_ids,
                 solution.reduced,
                 solution.estimate,
                 self.links,
-                gauge,
+                self.gauge,
                 solution.dof,
                 self.noise,
                 self.config,
@@ -196,7 +207,23 @@ class _Task:
                 learn,
             )
         uncertainty = learnt[-1] if learnt else None
-        return _State(association, solution, verdict, examination, taken_out, uncertainty)
+        return _State(association, solution, verified, taken_out, uncertainty)
+
+    def judged(self, state: _State) -> _State:
+        """Ask at last whether one sub-map is wrong as a whole."""
+        verdict = unless_one_is_wrong(
+            state.verified, self.map_ids, partial(self._near_optimum, state.solution)
+        )
+        return replace(state, verified=replace(state.verified, verdict=verdict))
+
+    def misfits(self, solution: Solution, slots: Sequence[int]) -> list[float]:
+        """How badly each of some sub-maps fits the others; empty where these cannot tell."""
+        try:
+            tests = misfits(self._near_optimum(solution), slots)
+        except (DegenerateGeometry, np.linalg.LinAlgError):
+            return []
+        found = [test.ratio for test in tests if test]
+        return found if len(found) == len(slots) else []
 
     def without_what_is_off(self, state: _State) -> _State | None:
         """Merge again without it; None if nothing is, or too much for the rest to be believed."""
@@ -221,7 +248,22 @@ class _Task:
         """Believe nothing of what is merged: too much of one sub-map is off."""
         reason = state.verdict.reason or f'more of {suspect} is off than can be left out'
         verdict = replace(state.verdict, accepted=False, reason=reason, suspect=suspect)
-        return replace(state, verdict=verdict, examination=None)
+        return replace(state, verified=Verified(verdict))
+
+    @property
+    def map_ids(self) -> list[str]:
+        """In the order of the sub-maps."""
+        return [submap.map_id for submap in self.submaps]
+
+    @property
+    def gauge(self) -> Gauge:
+        """Of the result."""
+        return min(submap.gauge for submap in self.submaps)
+
+    def _near_optimum(self, solution: Solution) -> Quadratic:
+        cost = solution.reduced
+        state = cost.evaluate(solution.estimate.points)
+        return near_optimum(cost, state, self.gauge, self.noise.sigma)
 
     def _connected(self, association: Association) -> bool:
         shared = association.shared_counts().todok()
@@ -237,18 +279,6 @@ def _cost_ratios(solution: Solution) -> Floats:
         residuals = element.residuals(element.place(solution.estimate.points))
         ratios[k] = residuals @ residuals / max(len(residuals), 1)
     return ratios
-
-
-def _misfits(solution: Solution, sigma: float, slots: Sequence[int]) -> list[float]:
-    """How badly each of some sub-maps fits the others; empty where these cannot tell."""
-    cost, points = solution.reduced, solution.estimate.points
-    gauge = Gauge(int(cost.gauges.min()))
-    try:
-        tests = misfits(near_optimum(cost, cost.evaluate(points), gauge, sigma), slots)
-    except (DegenerateGeometry, np.linalg.LinAlgError):
-        return []
-    found = [test.ratio for test in tests if test]
-    return found if len(found) == len(slots) else []
 
 
 def choose_anchor(submaps: Sequence[SubMap], gauge: Gauge) -> Anchor:

@@ -119,12 +119,11 @@ def examine(
     if not large:
         # A sub-map may count so little that of its landmarks only rounding is left.
         with suppress(np.linalg.LinAlgError):
-            state, plain, gaussian = _by_landmark(merge, redundancy, plain)
+            state, plain, gaussian = _by_landmark(merge, redundancy, plain, known)
     count = len(merge.members) - len(merge.points)
     # Of a few landmarks nobody can say what law they follow.
     gaussian |= count < MANY_CONTRASTS and not plain.objects
-    enough = certain and count >= MIN_CONTRASTS
-    if not enough or (gaussian and plain.p_value >= TESTED_FIRST):
+    if not certain or count < MIN_CONTRASTS or _is_enough(plain, gaussian=gaussian):
         return _with_doubtful(plain, state) if state and certain else plain
     try:
         found = _under_model(merge, state, plain.objects, known)
@@ -133,22 +132,30 @@ def examine(
         return plain  # so far off that no covariance describes it
 
 
+def _is_enough(plain: Examination, *, gaussian: bool) -> bool:
+    """Whether nothing asks for more than the textbook."""
+    return gaussian and plain.p_value >= TESTED_FIRST
+
+
 def _by_landmark(
-    merge: Quadratic, redundancy: float, plain: Examination
+    merge: Quadratic, redundancy: float, plain: Examination, known: CovarianceModel | None
 ) -> tuple[Sensitivity, Examination, bool]:
-    """Tests of all landmarks by the textbook, what looks moved, and whether they are Gaussian."""
+    """
+    Tests of all landmarks by the textbook, what looks moved, and whether they are Gaussian.
+
+    Under errors that are `known` already, what moved shows without such suspects.
+    """
     state = sensitivity(merge, redundancy)
     tests = state.tests()
     statistics = tests.statistic[tests.distinct]
+    scale = wrong_scale(state, merge)
+    found = replace(plain, tests=tests, textbook_tests=tests, wrong_scale=scale)
+    gaussian = are_gaussian(statistics, LARGEST_TAIL)
+    is_many = len(merge.members) - len(merge.points) >= MANY_CONTRASTS
+    if known and not known.is_textbook and is_many and not _is_enough(found, gaussian=gaussian):
+        return state, found, gaussian
     suspects = find_objects(state, merge.points, LEAST_STATISTIC * _usual(statistics))
-    found = replace(
-        plain,
-        tests=tests,
-        textbook_tests=tests,
-        objects=suspects,
-        wrong_scale=wrong_scale(state, merge),
-    )
-    return state, found, not suspects and are_gaussian(statistics, LARGEST_TAIL)
+    return state, replace(found, objects=suspects), gaussian and not suspects
 
 
 def is_large(landmarks: Ints, tracks: int) -> bool:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,6 +63,16 @@ def verify(a_tilde: float, dof: int, noise: Noise, config: FusionConfig) -> Verd
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Verified:
+    """A merge with its test."""
+
+    verdict: Verdict
+    examination: Examination | None = None
+    certain: bool = False
+    """Whether its basin is"""
+
+
 def verify_merge(
     map_ids: Sequence[str],
     reduced: JointCost,
@@ -74,24 +84,23 @@ def verify_merge(
     config: FusionConfig,
     known: CovarianceModel | None = None,
     learn: Callable[[Uncertainty], None] | None = None,
-) -> tuple[Verdict, Examination | None]:
+) -> Verified:
     """
     Test a merge, with the errors that maps of real cameras have where the textbook refuses.
 
     `reduced` is the cost of the shared landmarks, as merged. What the textbook accepts
     stays accepted, with its own p-value, unless its landmarks are not Gaussian; what moved
-    together is refused as long as it is merged. Where a model was needed, no sub-map may be
-    much worse than it is for the others. `known` are the errors of these sub-maps, if something
-    has been taken out of their merge already. `learn` is told what is known of landmarks and
-    frames, where all of the inverse was needed.
+    together is refused as long as it is merged. `known` are the errors of these sub-maps, if
+    something has been taken out of their merge already. `learn` is told what is known of
+    landmarks and frames, where all of the inverse was needed.
     """
     textbook = verify(estimate.cost, dof, noise, config)
     if dof <= 0:
-        return textbook, None
+        return Verified(textbook)
     redundancy = noise.estimated_from or np.inf
     large = is_large(reduced.segments.lengths, len(estimate.points))
     if large and textbook.p_value >= TESTED_FIRST:
-        return textbook, by_textbook(estimate.cost / noise.sigma**2, dof, redundancy)
+        return Verified(textbook, by_textbook(estimate.cost / noise.sigma**2, dof, redundancy))
     loose = loosely_tied(links, len(reduced))
     certain = estimate.converged and not loose
     state = reduced.evaluate(estimate.points)
@@ -100,28 +109,31 @@ def verify_merge(
     verdict = _judged(textbook, found, config)
     if loose and verdict.reason:
         verdict = replace(verdict, reason=f'{verdict.reason}; {_may_be_turned(loose, map_ids)}')
-    return _unless_one_is_wrong(verdict, found, merge, map_ids, certain=certain), found
+    return Verified(verdict, found, certain)
 
 
-def _unless_one_is_wrong(
-    verdict: Verdict,
-    found: Examination,
-    merge: Quadratic,
-    map_ids: Sequence[str],
-    *,
-    certain: bool,
+def unless_one_is_wrong(
+    verified: Verified, map_ids: Sequence[str], near_optimum: Callable[[], Quadratic]
 ) -> Verdict:
-    """Refuse a merge in which one sub-map differs from all others by more than they differ."""
+    """
+    Refuse a merge in which one sub-map differs from all others by more than they differ.
+
+    Where a model was needed: for that it is fitted once more, to the others. The merge
+    `near_optimum` is asked for then.
+    """
+    verdict, found = verified.verdict, verified.examination
+    if found is None:
+        return verdict
     if scale := found.wrong_scale:
         reason = (
             f'{map_ids[scale.k]} is {np.expm1(scale.log_scale):+.2%} larger than the others have '
             f'it, ± {scale.std:.2%} by what they claim'
         )
         return replace(verdict, accepted=False, reason=reason, suspect=map_ids[scale.k])
-    if not (verdict.accepted and certain and verdict.errors is not None):
+    if not (verdict.accepted and verified.certain and verdict.errors is not None):
         return verdict
     try:
-        worst = worst_map(merge)
+        worst = worst_map(near_optimum())
     except (DegenerateGeometry, np.linalg.LinAlgError):
         return verdict
     if worst is None or worst.is_believed:
