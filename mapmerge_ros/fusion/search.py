@@ -96,8 +96,7 @@ def is_certain(links: Sequence[Link], count: int) -> bool:
 def loosely_tied(links: Sequence[Link], count: int) -> tuple[int, ...]:
     """Sub-maps that such links do not connect to most of the others: they may be turned."""
     firm = [link for link in links if link.turn and link.turn.std_rad <= WEAK_TURN_RAD]
-    _, *others = components(count, firm)
-    return tuple(sorted(k for group in others for k in group))
+    return tuple(sorted(k for group in components(count, firm)[1:] for k in group))
 
 
 def _starts(links: Sequence[Link], count: int) -> Iterator[tuple[Sequence[Link], int]]:

@@ -1,0 +1,57 @@
+# Copyright 2026 mapmerge_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""How the benchmark of budgets counts what merges say; real data, where it is there, once."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT.parent / 'shared' / 'data'
+sys.path.insert(0, str(ROOT / 'benchmarks'))
+
+import budgets  # noqa: E402
+from budgets import Said, counted  # noqa: E402
+
+
+def said(**differences: object) -> Said:
+    usual = {
+        'merged': True,
+        'accepted': True,
+        'may_be_turned': False,
+        'moved': False,
+        'first': 'a',
+        'named': frozenset(),
+    }
+    return Said(**(usual | differences))  # type: ignore[arg-type]
+
+
+EVERY = (
+    said(),
+    said(named=frozenset('a')),
+    said(named=frozenset('ab')),
+    said(named=frozenset('c'), moved=True),
+    said(accepted=False, may_be_turned=True),
+    said(merged=False),
+)
+
+
+def test_of_what_is_damaged_the_first_is_named_rightly() -> None:
+    # merges, kept apart, accepted with it, it named, another named, may be turned, moved
+    assert counted('bent', EVERY) == '6 | 1 | 2 | 2 | 2 | 1 | 1'
+
+
+def test_where_nothing_is_wrong_whoever_is_named_is_named_wrongly() -> None:
+    assert counted('nothing', EVERY) == '6 | 1 | 2 | – | 3 | 1 | 1'
+
+
+def test_rows_are_made_of_real_maps() -> None:
+    folder = DATA / 'brighton_drone'
+    if not folder.is_dir():
+        pytest.skip(f'{folder} is not there: real data is not shipped')
+    pytest.importorskip('pycolmap', reason='COLMAP models are read by pycolmap')
+    rows = list(budgets.rows([folder], budgets=(24,), drawn=(30, 50), seeds=(0,)))
+    assert rows[0] == '| chosen, 24 to 300 a map | nothing | 1 | 0 | 1 | – | 0 | 0 | 0 |'
+    assert rows[1] == '| by lot, 30 or 40 | nothing | 1 | 0 | 1 | – | 0 | 0 | 0 |'
+    assert len(rows) == 3 + len(budgets.DAMAGES)
