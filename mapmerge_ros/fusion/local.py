@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from mapmerge_ros.arrays import Floats, Ints, Mask
 from mapmerge_ros.distributions import tail
@@ -133,6 +134,8 @@ class Sensitivity:
             The displacement of one of them is not determined by the others.
 
         """
+        if not len(chosen):
+            return self
         at = coordinates(chosen)
         columns = self.columns(chosen)
         if self.root is not None:
@@ -142,8 +145,8 @@ class Sensitivity:
             factor = np.linalg.cholesky(0.5 * (block + block.T))
         except np.linalg.LinAlgError:
             raise DegenerateGeometry('a landmark without partner cannot be unlocked') from None
-        added = np.linalg.solve(factor, columns.T).T
-        white = np.linalg.solve(factor, self.score[chosen].ravel())
+        added = solve_triangular(factor, columns.T, lower=True, check_finite=False).T
+        white = solve_triangular(factor, self.score[chosen].ravel(), lower=True)
         unlocked = ~self.locked
         unlocked[chosen] = True
         return replace(
@@ -219,20 +222,24 @@ def sensitivity(merge: Quadratic, redundancy: float = np.inf) -> Sensitivity:
             ]
         return forces
 
-    def answered(forces: Floats) -> Floats:
+    def answered(forces: Floats, chosen: Ints) -> Floats:
         """H⁻¹ A' forces (3n, 3m): where the merged landmarks go."""
         total = np.zeros((size, forces.shape[1]))
-        np.add.at(total, np.concatenate(at), forces)
+        for k in np.unique(members.maps[chosen]):
+            part = members.of_map(int(k))
+            total[at[k]] += forces[3 * part.start : 3 * part.stop]
         return inverse.solve(total)
 
     def columns(chosen: Ints) -> Floats:
         forces = pushed(chosen)
-        moved = answered(forces)
-        shared = [own @ moved[rows] for own, rows in zip(merge.information, at, strict=True)]
-        return forces - np.concatenate(shared)
+        moved = answered(forces, chosen)
+        for k, (own, rows) in enumerate(zip(merge.information, at, strict=True)):
+            part = members.of_map(k)
+            forces[3 * part.start : 3 * part.stop] -= own @ moved[rows]
+        return forces
 
     def follow(chosen: Ints) -> Floats:
-        return -answered(pushed(chosen))[coordinates(members.tracks[chosen])]
+        return -answered(pushed(chosen), chosen)[coordinates(members.tracks[chosen])]
 
     return Sensitivity(
         members=members,
