@@ -6,8 +6,8 @@ Whether what is said of a merge depends on how many landmarks were sent, and whi
     python benchmarks/budgets.py ../shared/data --markdown docs/statistics.md
 
 All sessions of each set, all tracks, lenses taken as exact: with the landmarks that
-`mapmerge compress --landmarks` takes, and with random draws; then one session of each draw is
-damaged.
+`mapmerge compress --landmarks` takes, with the longest tracks, and with random draws; then one
+session of each draw is damaged.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from documents import published
 from honest_tests import DAMAGES, draw, load
 from real_data import compress_sessions
 
+from mapmerge_ros.bundle import MapName, compress
 from mapmerge_ros.fusion import Fusion, fuse
+from mapmerge_ros.fusion.offline import choose_for_bundles
 from mapmerge_ros.submap import SubMap
 
 BUDGETS = (24, 30, 40, 50, 60, 75, 100, 125, 150, 200, 250, 300)
@@ -61,9 +63,16 @@ def cases(
     folder: Path, budgets: Iterable[int], drawn: Iterable[int], seeds: Iterable[int]
 ) -> Iterator[Case]:
     """Merges of one set in which nothing is wrong, and with one sub-map damaged."""
-    for budget in budgets:
-        yield Case('chosen, 24 to 300 a map', 'nothing', compress_sessions(folder, budget)[0])
     bundles, shared = load(folder, all_tracks=True)
+    names = [MapName(f'session_{k}', 'robot', id_space='truth') for k in range(len(bundles))]
+    for budget in budgets:
+        chosen = choose_for_bundles(bundles, names, budget, catalogue=False)
+        submaps = [
+            compress(bundle, name, ids, catalogue=False)
+            for bundle, name, ids in zip(bundles, names, chosen, strict=True)
+        ]
+        yield Case('chosen, 24 to 300 a map', 'nothing', submaps)
+        yield Case('longest tracks, 24 to 300', 'nothing', compress_sessions(folder, budget)[0])
     for landmarks, seed in itertools.product(drawn, seeds):
         submaps = draw(bundles, shared, seed, landmarks)
         few = landmarks < DAMAGED_FROM

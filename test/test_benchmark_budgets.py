@@ -53,5 +53,6 @@ def test_rows_are_made_of_real_maps() -> None:
     pytest.importorskip('pycolmap', reason='COLMAP models are read by pycolmap')
     rows = list(budgets.rows([folder], budgets=(24,), drawn=(30, 50), seeds=(0,)))
     assert rows[0] == '| chosen, 24 to 300 a map | nothing | 1 | 0 | 1 | – | 0 | 0 | 0 |'
-    assert rows[1] == '| by lot, 30 or 40 | nothing | 1 | 0 | 1 | – | 0 | 0 | 0 |'
-    assert len(rows) == 3 + len(budgets.DAMAGES)
+    assert rows[1] == rows[0].replace('chosen, 24 to 300 a map', 'longest tracks, 24 to 300')
+    assert rows[2] == '| by lot, 30 or 40 | nothing | 1 | 0 | 1 | – | 0 | 0 | 0 |'
+    assert len(rows) == 4 + len(budgets.DAMAGES)
