@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The covariance model of a merge: what it must find, what it must leave alone, what refuses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -10,8 +12,8 @@ from gaussian_merges import draw, merged, noise, scene
 
 from mapmerge_ros.distributions import chi2_tail
 from mapmerge_ros.fusion.contrasts import contrasts, matern
-from mapmerge_ros.fusion.covariance_model import COARSE_CONTRASTS, TEXTBOOK, fit_model
-from mapmerge_ros.fusion.honest import MAX_CONTRASTS, examine
+from mapmerge_ros.fusion.covariance_model import COARSE_CONTRASTS, TEXTBOOK, fit_model, settled
+from mapmerge_ros.fusion.honest import MAX_CONTRASTS, _judged, examine
 from mapmerge_ros.fusion.likelihood import step, weigh
 from mapmerge_ros.fusion.local import local_tests, sensitivity
 from mapmerge_ros.fusion.plausible import MAX_OMEGA_RADII
@@ -281,3 +283,12 @@ def few(seed, landmarks, factor):
 def believed(merge):
     found = examine(merge, np.inf, certain=True)
     return min(found.p_value, found.p_objects) >= 0.01 and not found.objects
+
+
+def test_a_merge_of_which_nothing_is_left_to_test_is_not_refused_for_its_price():
+    rng = np.random.default_rng(2)
+    points, members, matrices = scene(rng, maps=2, landmarks=12, views=(2, 2))
+    data = contrasts(merged(points, members, matrices, noise(rng, points, members, matrices)), 600)
+    fitted = settled(data, TEXTBOOK, NOBODY, NOBODY)
+    for dof, price in ((0, 0.0), (-2, 5.0)):
+        assert _judged(replace(fitted, dof=dof, price=price), np.inf).p_value > 0.1

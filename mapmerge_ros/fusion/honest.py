@@ -240,7 +240,8 @@ def _judged(fitted: Fitted, redundancy: float) -> Examination:
     p_values = model.tails.p_value(fitted.statistics, redundancy)
     bad = int((p_values < BAD_LEVEL).sum())
     plausible = p_plausible(model.phi, model.omega / model.radius, len(fitted.aside), count)
-    price = float(tail(np.array(fitted.price), fitted.dof, redundancy))
+    # Where too many are off, nothing is left to be tested.
+    price = float(tail(np.array(fitted.price), fitted.dof, redundancy)) if fitted.dof > 0 else 1.0
     parts = (
         product_tail(price * plausible),
         binomial_tail(bad, count, BAD_SHARE),
