@@ -26,9 +26,8 @@ class Examination:
     dof: int
     p_value: float
     """
-    Of that price, of so many bad landmarks and of the worst: thrice the least of the three.
-
-    Zero if more is set aside than may be.
+    Of that price and all that had to be believed for it, of so many bad landmarks and of the
+    worst: thrice the least of the three.
     """
     model: CovarianceModel | None = None
     """None: the textbook holds, or nothing else may be believed"""

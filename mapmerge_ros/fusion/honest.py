@@ -45,6 +45,7 @@ from mapmerge_ros.fusion.objects import (
 )
 from mapmerge_ros.fusion.plausible import largest_variances, p_plausible
 from mapmerge_ros.fusion.quadratic import Quadratic
+from mapmerge_ros.fusion.sample import LEAST_OF_A_MAP
 from mapmerge_ros.fusion.scales import wrong_scale
 from mapmerge_ros.fusion.tails import GAUSSIAN, are_gaussian
 
@@ -143,7 +144,8 @@ def _by_landmark(
     """
     Tests of all landmarks by the textbook, what looks moved, and whether they are Gaussian.
 
-    Under errors that are `known` already, what moved shows without such suspects.
+    Under errors that are `known` already, what moved shows without such suspects, if no track
+    is left out of the sample: of others only the suspects are in it.
     """
     state = sensitivity(merge, redundancy)
     tests = state.tests()
@@ -151,8 +153,10 @@ def _by_landmark(
     scale = wrong_scale(state, merge)
     found = replace(plain, tests=tests, textbook_tests=tests, wrong_scale=scale)
     gaussian = are_gaussian(statistics, LARGEST_TAIL)
-    is_many = len(merge.members) - len(merge.points) >= MANY_CONTRASTS
-    if known and not known.is_textbook and is_many and not _is_enough(found, gaussian=gaussian):
+    count = len(merge.members) - len(merge.points)
+    most = max(count, LEAST_OF_A_MAP * len(merge.information))
+    is_whole = count >= MANY_CONTRASTS and most <= MAX_CONTRASTS
+    if known and not known.is_textbook and is_whole and not _is_enough(found, gaussian=gaussian):
         return state, found, gaussian
     suspects = find_objects(state, merge.points, LEAST_STATISTIC * _usual(statistics))
     return state, replace(found, objects=suspects), gaussian and not suspects
@@ -240,10 +244,14 @@ def _judged(fitted: Fitted, redundancy: float) -> Examination:
     p_values = model.tails.p_value(fitted.statistics, redundancy)
     bad = int((p_values < BAD_LEVEL).sum())
     plausible = p_plausible(model.phi, model.omega / model.radius, len(fitted.aside), count)
-    # Where too many are off, nothing is left to be tested.
-    price = float(tail(np.array(fitted.price), fitted.dof, redundancy)) if fitted.dof > 0 else 1.0
+    # Where too many are off, nothing is left that has a price.
+    priced = plausible
+    if fitted.dof > 0:
+        priced = float(tail(np.array(fitted.price), fitted.dof, redundancy))
+        # Beside the textbook nothing had to be believed.
+        priced = priced if model.is_textbook else product_tail(priced * plausible)
     parts = (
-        product_tail(price * plausible),
+        priced,
         binomial_tail(bad, count, BAD_SHARE),
         float(-np.expm1(count * np.log1p(-p_values.min(initial=0.5)))),
     )

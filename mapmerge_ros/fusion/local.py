@@ -146,7 +146,8 @@ class Sensitivity:
         except np.linalg.LinAlgError:
             raise DegenerateGeometry('a landmark without partner cannot be unlocked') from None
         added = solve_triangular(factor, columns.T, lower=True, check_finite=False).T
-        white = solve_triangular(factor, self.score[chosen].ravel(), lower=True)
+        scores = self.score[chosen].ravel()
+        white = solve_triangular(factor, scores, lower=True, check_finite=False)
         unlocked = ~self.locked
         unlocked[chosen] = True
         return replace(
