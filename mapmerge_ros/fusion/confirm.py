@@ -43,10 +43,11 @@ pairs of Caliterra).
 BEYOND_BENDS, MOSTLY = 7.0, 0.65
 """
 Displacement [ω] from which what is smaller than a bend need not be of one piece, and how much of
-it there has to be: at the rim of a map twelve neighbours are not always; such have 0.71 to 0.9.
+it there has to be, of what `BORDER` asks for: at the rim of a map twelve neighbours are not
+always; such have 0.71 to 0.9 of it.
 
 Two maps differ by 4.8 ω (1 in 100), what was picked by 5.8, or by 9.1 (15 of 150 landmarks of
-Boruszyn, of one piece to 0.53 at most).
+Boruszyn, with 0.53 of it at most).
 """
 
 COMPACT_RADII = 0.3
