@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from merge_steps import Values, ids_of_tracks, merged, rmse_to_truth, started, timed
+from merge_steps import CONFIG, Values, ids_of_tracks, merged, rmse_to_truth, started, timed
 from workloads import DRONES, Workload, workload
 
 from mapmerge_ros.arrays import Floats, Ids
@@ -51,6 +51,9 @@ def bundle(load: Workload, repeats: int) -> Values:
         'iterations': solved.iterations,
         'converged': solved.converged,
         'nearly_s': seconds_until(written[0], NEARLY),
+        'near_share': share_until(
+            written[0], CONFIG.convergence, joint.residual_count - joint.dof
+        ),
         'points': len(joint.point_ids),
         'keyframes': len(joint.keyframe_ids),
         'observation_bytes': 12.0 * len(joint.observations_px) / len(load.submaps),
@@ -100,13 +103,33 @@ def accuracy(load: Workload, repeats: int) -> Values:
 
 def seconds_until(tables: str, share: float) -> float:
     """Seconds until the cost was within a share of its last one, by the last of Ceres' tables."""
-    steps: list[tuple[float, float]] = []
+    steps = _steps(tables)
+    lowest = min(cost for cost, _, _ in steps)
+    return next(seconds for cost, _, seconds in steps if cost <= share * lowest)
+
+
+def share_until(tables: str, convergence: float, redundancy: int) -> float:
+    """
+    Share of its seconds until it was as near to its optimum as the merge ends to its own.
+
+    So many standard deviations in the worst direction, as what was left to be gained says.
+    """
+    steps = _steps(tables)
+    limit = convergence**2 * min(cost for cost, _, _ in steps) / redundancy
+    gains = np.maximum([gain for _, gain, _ in steps], 0.0)
+    left = np.cumsum(gains[::-1])[::-1] - gains
+    seconds = [after for _, _, after in steps]
+    return seconds[int(np.argmax(left <= limit))] / seconds[-1]
+
+
+def _steps(tables: str) -> list[tuple[float, float, float]]:
+    """Cost, its decrease, and seconds of all so far, after each step of the last table."""
+    steps: list[tuple[float, float, float]] = []
     for row in (line.split() for line in tables.splitlines()):
         if len(row) == COLUMNS and row[0].isdigit():
             steps = [] if row[0] == '0' else steps
-            steps.append((float(row[1]), float(row[-1])))
-    lowest = min(cost for cost, _ in steps)
-    return next(seconds for cost, seconds in steps if cost <= share * lowest)
+            steps.append((float(row[1]), float(row[2]), float(row[-1])))
+    return steps
 
 
 @contextmanager

@@ -22,6 +22,7 @@ HEAD = (
     ('cold : replaced', 'cold_to_warm'),
     ('full bundle [s]', 'bundle'),
     ('bundle : merge', 'ratio'),
+    ('both as near', 'near_ratio'),
     ('within 1 % [s]', 'nearly'),
     ('memory merge [MB]', 'memory'),
     ('memory bundle : merge', 'memory_ratio'),
@@ -144,6 +145,7 @@ def _beside(found: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
     ratios = {
         'observations': bundle['observation_bytes'] / 1e3,
         'ratio': bundle['cpu_s'] / row['merge'],
+        'near_ratio': bundle['near_share'] * bundle['cpu_s'] / row['merge'],
         'nearly': bundle['nearly_s'],
         'memory_ratio': bundle['growth_mb'] / row['memory'],
     }
@@ -153,6 +155,7 @@ def _beside(found: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
     else:
         ratios['bundle'] = f'{bundle["cpu_s"]:.0f}, not converged'
         ratios['ratio'] = f'more than {ratios["ratio"]:.0f}'
+        del ratios['near_ratio']
     return ratios
 
 

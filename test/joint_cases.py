@@ -22,7 +22,8 @@ GAUGES = [Gauge.SIMILARITY, Gauge.RIGID, Gauge.YAW_TRANSLATION, Gauge.NONE]
 CASES = [[gauge] * 6 for gauge in GAUGES]
 CASES.append([7, 6, 4, 7, 6, 7])
 IDS = ['similarity', 'rigid', 'yaw', 'none', 'mixed']
-CONFIG = FusionConfig()
+CONFIG = FusionConfig(convergence=1e-6)
+"""Held against the plain form, a merge ends where only rounding is left."""
 
 
 def made_fleets():

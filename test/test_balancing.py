@@ -147,9 +147,9 @@ def test_a_fleet_is_fused_as_with_a_factor(monkeypatch):
     submaps = simulate_fleet(config, 1).submaps(catalogue=False)
     with monkeypatch.context() as without:
         without.setattr(joint, 'factorise', None)  # merged without one
-        found = fuse(submaps).components[0]
+        found = fuse(submaps, CONFIG).components[0]
     monkeypatch.setattr(joint, 'pays', lambda _: False)
-    wanted = fuse(submaps).components[0]
+    wanted = fuse(submaps, CONFIG).components[0]
     assert found.iterations > wanted.iterations
     assert found.map_ids == wanted.map_ids
     assert len(found.map_ids) == len(submaps)

@@ -4,6 +4,7 @@
 
 import ctypes
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ pytest.importorskip('pycolmap', reason='the full bundle is solved by Ceres: pip 
 sys.path.insert(0, str(Path(__file__).parents[1] / 'benchmarks'))
 
 from merge import quick
-from merge_bundle import seconds_until, standard_output
+from merge_bundle import seconds_until, share_until, standard_output
 from merge_tables import rows_of, tables
 from workloads import cached, workload
 
@@ -41,13 +42,21 @@ def test_when_the_bundle_is_nearly_done_is_read_from_the_last_table(measured):
     )
 
     def table(steps):
-        rows = [f'{k} {cost} 0 0 0 0 0 0 0.1 {done}' for k, (cost, done) in enumerate(steps)]
+        gains = [0.0, *(before[0] - after[0] for before, after in pairwise(steps))]
+        rows = [
+            f'{k} {cost} {gain} 0 0 0 0 0 0.1 {done}'
+            for k, ((cost, done), gain) in enumerate(zip(steps, gains, strict=True))
+        ]
         return '\n'.join([head, *rows, ''])
 
     first = table([(9.0, 0.1), (1.0, 0.2)])
     last = table([(200.0, 0.5), (101.5, 1.0), (100.9, 2.0), (100.0, 4.0)])
     assert seconds_until(first + 'more text\n' + last, 1.01) == 2.0
     assert seconds_until(first + last, 1.02) == 1.0
+    # A standard deviation of 50 degrees of freedom is 2.0: 0.9 are left after two seconds.
+    assert share_until(first + last, 1.0, 50) == 1.0 * 1.0 / 4.0
+    assert share_until(first + last, 0.7, 50) == 2.0 / 4.0
+    assert share_until(first + last, 0.1, 50) == 1.0
 
 
 def test_what_libraries_write_is_kept_from_the_standard_output(capfd):

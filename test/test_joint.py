@@ -81,7 +81,7 @@ def test_the_fast_merge_is_the_plain_merge(fleets, gauges):
     plain = merge(reduced, start, gauge, CONFIG)
     assert found.cost == pytest.approx(plain.cost, rel=1e-9)
     moved = align(plain.points, found.points, gauge=gauge).S_target_source.apply(found.points)
-    # Both end where the next step promises 1e-14 of the cost: 2e-6 standard deviations at most.
+    # Both end at 1e-6 standard deviations of everything together.
     blocks = uncertainty(cost, state, gauge, 0.5).landmarks[association.views > 1]
     stds = np.sqrt(np.einsum('nii->n', blocks))
     assert (np.linalg.norm(moved - plain.points, axis=1) < 1e-5 * stds).all()

@@ -46,7 +46,7 @@ class _Pairs:
         return _Pairs(
             self.a[chosen],
             self.b[chosen],
-            Segments.of_lengths(self.segments.lengths[chosen]),
+            self.segments.only(chosen),
             self.tracks[rows],
             self.rows_a[rows],
             self.rows_b[rows],

@@ -71,13 +71,24 @@ def merge(
     """
     state = _evaluate(elements, points)
     history = [state.cost]
+    dof = sum(len(element.c) for element in elements) - points.size + int(gauge)
     for iteration in range(1, config.max_iterations + 1):
         matrix, gradient = assemble(elements, state.placements, state.points.size)
         state, promised = _step(elements, state, matrix, gradient, gauge)
         history.append(state.cost)
-        if promised <= config.relative_decrease * max(state.cost, np.finfo(float).tiny):
+        if promised <= max(negligible(state.cost, dof, config), np.finfo(float).tiny):
             return _finish(state, iteration, True, history)
     return _finish(state, config.max_iterations, False, history)
+
+
+def negligible(cost: float, dof: int, config: FusionConfig) -> float:
+    """
+    Decrease [px²] of a step that hardly matters beside the noise.
+
+    What a step to the optimum would gain is the squared distance to it, in units of the covariance
+    over σ²; σ² is what the cost itself says.
+    """
+    return config.convergence**2 * cost / max(dof, 1)
 
 
 def assemble(

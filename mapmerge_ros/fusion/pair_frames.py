@@ -109,22 +109,27 @@ def _settled(
     weights: Floats,
     start: Alignments,
 ) -> Alignments:
-    best, determined = start.S_target_source, start.determined
-    moved = best.apply(segments, points_b)
-    moving = np.ones(len(segments), bool)
+    best, determined = start.S_target_source, start.determined.copy()
+    moved, pairs = best.apply(segments, points_b), np.arange(len(segments))
     for _ in range(STEPS):
         distances = np.linalg.norm(moved - points_a, axis=1)
         medians = np.maximum(segments.medians(distances), np.finfo(float).tiny)
         with np.errstate(all='ignore'):
             robust = weights / np.maximum(distances, 0.1 * medians[segments.owners])
         found = align_segments(points_a, points_b, segments, gauges, robust)
-        determined = determined & (found.determined | ~moving)
-        best = best.where(~moving, found.S_target_source)
-        before, moved = moved, best.apply(segments, points_b)
+        determined[pairs] &= found.determined
+        best = best.at(pairs, found.S_target_source)
+        before, moved = moved, found.S_target_source.apply(segments, points_b)
         steps = np.linalg.norm(moved - before, axis=1)
-        moving &= np.maximum.reduceat(steps, segments.ends[:-1]) > SETTLED * medians
+        moving = np.maximum.reduceat(steps, segments.ends[:-1]) > SETTLED * medians
         if not moving.any():
             break
+        if not moving.all():
+            rows = moving[segments.owners]
+            points_a, points_b, weights, moved = (
+                each[rows] for each in (points_a, points_b, weights, moved)
+            )
+            pairs, gauges, segments = pairs[moving], gauges[moving], segments.only(moving)
     return Alignments(best, determined)
 
 

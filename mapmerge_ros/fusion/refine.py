@@ -28,6 +28,9 @@ MAX_HALVINGS = 8
 """Shares of a step down to 1/256; a joint step that is still worse is not taken at all."""
 
 
+CONVERGENCE = 1e-6
+"""How near the merge of each round comes to its optimum: what is left of it, no round can mend."""
+
 CONVERGED_STEP_RATIO = 1e-9
 """Moves of a billionth of a standard deviation are rounding."""
 
@@ -84,7 +87,12 @@ def refine(
     """
     if rounds < 1 or not robots:
         raise InvalidValue(f'rounds: {rounds} rounds with {len(robots)} robots do nothing')
-    config = replace(config or FusionConfig(), match_descriptors=False, unlock=False)
+    config = replace(
+        config or FusionConfig(),
+        match_descriptors=False,
+        unlock=False,
+        convergence=CONVERGENCE,
+    )
     state = _State(tuple(robots), None, np.inf)
     history = list[Round]()
     for number in range(1, rounds + 1):

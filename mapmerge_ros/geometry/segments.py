@@ -44,6 +44,10 @@ class Segments:
         """Rows of one segment."""
         return slice(int(self.ends[k]), int(self.ends[k + 1]))
 
+    def only(self, chosen: Mask) -> Segments:
+        """Some of them (n,), their rows without those of the others."""
+        return Segments.of_lengths(self.lengths[chosen])
+
     def sums(self, values: Floats) -> Floats:
         """Sum over each segment, (rows, ...) to (n, ...)."""
         return np.asarray(np.add.reduceat(values, self.ends[:-1], axis=0))
@@ -132,6 +136,15 @@ class Similarities:
             np.where(chosen[:, None, None], self.rotations, others.rotations),
             np.where(chosen[:, None], self.translations, others.translations),
         )
+
+    def at(self, places: Ints, others: Similarities) -> Similarities:
+        """Return these with the others (m,) at some places (m,)."""
+        scales, rotations, translations = (
+            each.copy() for each in (self.scales, self.rotations, self.translations)
+        )
+        scales[places], rotations[places] = others.scales, others.rotations
+        translations[places] = others.translations
+        return Similarities(scales, rotations, translations)
 
     def before(self, S_source_new: Similarity) -> Similarities:
         """S_target_source @ S_source_new for each."""

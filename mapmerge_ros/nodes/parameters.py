@@ -122,11 +122,11 @@ CONFIG_SETTINGS = (
         1000,
     ),
     Setting(
-        'relative_decrease',
-        CONFIG.relative_decrease,
-        'Share of the cost: a merge that promises to gain less has converged.',
-        1e-16,
-        0.1,
+        'convergence',
+        CONFIG.convergence,
+        'Standard deviations from the optimum, in the worst direction, at which a merge ends.',
+        1e-6,
+        0.01,
     ),
     Setting(
         'max_landmarks',

@@ -138,6 +138,11 @@ class JointCost:
         """Tracks that the maps are about."""
         return int(self.tracks.max()) + 1
 
+    @property
+    def rows(self) -> int:
+        """Residuals of all maps."""
+        return sum(len(root.c) for root in self.roots)
+
     def reduced(self) -> JointCost:
         """Return the cost of the shared landmarks, renumbered; private ones are at their best."""
         if self.is_shared.all():
