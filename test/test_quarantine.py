@@ -4,17 +4,25 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from gaussian_merges import merged, noise, scene
 
-from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, fuse
+from mapmerge_ros.association import associate
+from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, fuse, groups
+from mapmerge_ros.fusion.associate import of_compressed
+from mapmerge_ros.fusion.component import merge_component
 from mapmerge_ros.fusion.contrasts import contrasts
 from mapmerge_ros.fusion.likelihood import weigh
+from mapmerge_ros.fusion.links import find_links
 from mapmerge_ros.fusion.misfit import MapTest, misfits, without_map, worst_map
-from mapmerge_ros.fusion.quarantine import Search
+from mapmerge_ros.fusion.quarantine import Search, Trial
+from mapmerge_ros.fusion.solution import Solution
+from mapmerge_ros.fusion.stopwatch import Stopwatch
+from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.io.summary import summarise
 from mapmerge_ros.submap import SubMap
 
@@ -142,6 +150,46 @@ def test_the_summary_says_why(submaps):
     assert set(evidence.values()) == {None}
 
 
+def solutions():
+    """All that are alive, 7 MB each for eight drones."""
+    gc.collect()
+    return sum(isinstance(each, Solution) for each in gc.get_objects())
+
+
+def test_of_what_is_not_believed_only_the_whole_is_held_and_only_while_culprits_are_sought(
+    submaps, monkeypatch
+):
+    alive = []
+
+    def counted(*args):
+        alive.append(solutions())
+        return merge_component(*args)
+
+    monkeypatch.setattr(groups, 'merge_component', counted)
+    # Others are tried as well: with the wrong one in they are not believed.
+    monkeypatch.setattr(Trial, 'explains_all', False)
+    warm = Warm()
+    fusion = fuse(with_one(submaps, 3, bent(submaps[3], 0.1)), warm=warm)
+    assert len(fusion.quarantined) == 1
+    assert len(alive) == 5  # the whole, and without one of four
+    assert alive == [0] + [1] * (len(alive) - 1)
+    assert solutions() == 0
+
+
+def test_how_badly_a_map_fits_is_asked_in_the_time_of_the_tests(submaps):
+    damaged = with_one(submaps, 3, bent(submaps[3], 0.1))
+    stopwatch, config = Stopwatch(), FusionConfig(unlock=False)
+    association = of_compressed(damaged, associate(damaged).tracks)
+    links = find_links(damaged, association, config, Warm())
+    merged, misfits = merge_component(
+        damaged, association, links, None, config, 1, stopwatch, Warm()
+    )
+    assert not merged.component.verdict.accepted
+    before = stopwatch['test']
+    assert np.argmax(misfits(range(6))) == 3
+    assert stopwatch['test'] > before
+
+
 def test_many_culprits_take_few_merges(submaps):
     """Of thirty-two maps three are wrong: a number of merges that grows with the logarithm."""
     group, wrong, tried = tuple(range(32)), {3, 17, 29}, []
@@ -169,8 +217,8 @@ def test_many_culprits_take_few_merges(submaps):
 
 
 class Fake:
-    def __init__(self, component, cost_ratios, misfits=lambda slots: ()):
-        self.component, self.cost_ratios, self.misfits = component, cost_ratios, misfits
+    def __init__(self, component, cost_ratios):
+        self.component, self.cost_ratios = component, cost_ratios
 
 
 def test_contrasts_without_a_map_are_those_of_the_others():
@@ -239,14 +287,14 @@ def rivals(submaps, misfits):
         price = plain.verdict.dof * (9.0 if both else 3.0 + (1 in left))
         verdict = replace(plain.verdict, accepted=not both, a_tilde=price * plain.verdict.sigma**2)
         component = replace(plain, map_ids=tuple(map(str, left)), verdict=verdict)
-        return Fake(component, np.arange(len(left)) + 1.0, misfits)
+        return Fake(component, np.arange(len(left)) + 1.0)
 
     def merge_without(culprits):
         left = tuple(k for k in range(4) if k not in culprits)
         return [(left, merged_group(left))]
 
     whole = merged_group((0, 1, 2, 3))
-    return Search((0, 1, 2, 3), whole, merge_without, lambda part: True, lambda part: 0)
+    return Search((0, 1, 2, 3), whole, merge_without, lambda part: True, lambda part: 0, misfits)
 
 
 def test_of_two_that_contradict_each_other_the_one_is_named_that_the_others_explain_less(submaps):

@@ -19,7 +19,7 @@ from mapmerge_ros.fusion.covariance_model import CovarianceModel
 from mapmerge_ros.fusion.examination import Examination
 from mapmerge_ros.fusion.joint.covariance import Uncertainty
 from mapmerge_ros.fusion.joint.near_optimum import near_optimum
-from mapmerge_ros.fusion.misfit import misfits
+from mapmerge_ros.fusion.misfit import Misfits, misfits
 from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.fusion.noise import Noise, pool_noise
 from mapmerge_ros.fusion.outcome import Verdict
@@ -47,12 +47,13 @@ def merge_component(
     revision: int,
     stopwatch: Stopwatch,
     warm: Warm,
-) -> Merged:
+) -> tuple[Merged, Misfits | None]:
     """
     Merge sub-maps that hang together (indices of `links` refer to them).
 
     What an examination finds to have moved, and landmarks that do not fit, are taken out, and
-    the rest is merged as if they had not been matched.
+    the rest is merged as if they had not been matched. Of a merge that is not believed, how
+    badly its sub-maps fit can be asked.
 
     Raises
     ------
@@ -99,12 +100,9 @@ def merge_component(
     )
     merged = replace(merged, component=component, factor=None)
     if state.verdict.accepted:
-        return merged
-    return replace(
-        merged,
-        cost_ratios=_cost_ratios(state.solution),
-        misfits=partial(task.misfits, state.solution),
-    )
+        return merged, None
+    merged = replace(merged, cost_ratios=_cost_ratios(state.solution))
+    return merged, partial(task.misfits, state.solution)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,7 +217,8 @@ class _Task:
     def misfits(self, solution: Solution, slots: Sequence[int]) -> list[float]:
         """How badly each of some sub-maps fits the others; empty where these cannot tell."""
         try:
-            tests = misfits(self._near_optimum(solution), slots)
+            with self.stopwatch.measure('test'):
+                tests = misfits(self._near_optimum(solution), slots)
         except (DegenerateGeometry, np.linalg.LinAlgError):
             return []
         found = [test.ratio for test in tests if test]

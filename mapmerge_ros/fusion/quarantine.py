@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmerge_ros.distributions import chi2_tail
+from mapmerge_ros.fusion.misfit import Misfits
 from mapmerge_ros.fusion.outgoing import Merged
 
 Group = tuple[int, ...]
@@ -96,6 +97,8 @@ class Search:
     """Whether the geometry of sub-maps is: else a refusal may be about a wrong basin"""
     contradictions: Callable[[Group], int]
     """Landmarks that were parted before sub-maps were merged, since pairs of them contradict"""
+    misfits: Misfits = lambda slots: ()
+    """Of the whole group, while the search goes on"""
 
     def culprits(self) -> Trial | None:
         """Fewest sub-maps without which most of the others are believed; None: nobody can tell."""
@@ -133,7 +136,7 @@ class Search:
         largest = [trial for trial in trials if trial.size == size]
         best = min(largest, key=lambda trial: trial.unexplained)
         if len(largest) > 1 and not best.explains_all:
-            misfits = self.whole.misfits([self.group.index(x.without[0]) for x in largest])
+            misfits = self.misfits([self.group.index(x.without[0]) for x in largest])
             if len(misfits):
                 return largest[int(np.argmax(misfits))]
         alike = [each for each in largest if each.unexplained <= best.unexplained + best.spread]
