@@ -11,12 +11,13 @@ import scipy.stats
 from gaussian_merges import draw, merged, noise, scene
 
 from mapmerge_ros.distributions import chi2_tail
+from mapmerge_ros.fusion import honest
 from mapmerge_ros.fusion.contrasts import contrasts, matern
 from mapmerge_ros.fusion.covariance_model import COARSE_CONTRASTS, TEXTBOOK, fit_model, settled
 from mapmerge_ros.fusion.honest import MAX_CONTRASTS, _judged, examine
 from mapmerge_ros.fusion.likelihood import step, weigh
 from mapmerge_ros.fusion.local import local_tests, sensitivity
-from mapmerge_ros.fusion.plausible import MAX_OMEGA_RADII
+from mapmerge_ros.fusion.plausible import MAX_OMEGA_RADII, p_plausible
 from mapmerge_ros.fusion.quadratic import Members
 from mapmerge_ros.fusion.tails import are_gaussian, fit_tails
 from mapmerge_ros.geometry import Gauge, generators, scene_radius
@@ -231,6 +232,36 @@ def test_who_is_left_is_judged_by_the_errors_of_all():
         afresh += len(again.aside)
         judged += len(known.aside)
     assert judged < 0.5 * afresh
+
+
+@pytest.mark.parametrize('most', [MAX_CONTRASTS, 150])
+def test_what_was_taken_out_since_it_did_not_fit_has_still_to_be_believed(monkeypatch, most):
+    """22 % of the landmarks far off, and twice the variance: not plausible, in no round."""
+    shares = []
+
+    def plausible(phi, omega_radii, aside, count):
+        shares.append(aside / count)
+        return p_plausible(phi, omega_radii, aside, count)
+
+    monkeypatch.setattr(honest, 'p_plausible', plausible)
+    monkeypatch.setattr(honest, 'MAX_CONTRASTS', most)
+    rng = np.random.default_rng(12)
+    points, members, matrices = scene(rng, landmarks=300, views=(2, 2))
+    errors = np.sqrt(2.0) * noise(rng, points, members, matrices)
+    spread = local_tests(merged(points, members, matrices, errors)).covariance
+    _, firsts = np.unique(members.tracks, return_index=True)
+    wrong = rng.choice(firsts, 66, replace=False)
+    sizes = np.sqrt(np.trace(spread[wrong], axis1=1, axis2=2))
+    errors[wrong] += 10.0 * sizes[:, None] * rng.normal(size=(66, 3))
+    found = examine(merged(points, members, matrices, errors), np.inf, certain=True)
+    gone = members.tracks[found.aside]
+    rest = without(points, members, matrices, errors, gone)
+    again = examine(rest, np.inf, certain=True, known=found.model, taken_out=len(gone))
+    assert found.p_value < 0.01
+    assert again.p_value < 0.01
+    # Of a sample, what is left in the other tracks is as wrong as its own was.
+    np.testing.assert_allclose(shares, 0.22, atol=0.035)
+    assert examine(rest, np.inf, certain=True, known=found.model).p_value > 0.01
 
 
 def test_the_price_of_a_large_merge_is_that_of_its_own_errors():

@@ -130,12 +130,12 @@ class _State:
         """Verdict on what is merged, with the number of landmarks that are not."""
         if not self.taken_out:
             return self.verdict
-        objects = np.concatenate([off.objects for off in self.taken_out])
-        moved, aside = int((objects > 0).sum()), int((objects == 0).sum())
+        singles = _singles(self.taken_out)
+        moved = sum(map(len, self.taken_out)) - singles
         return replace(
             self.verdict,
             moved=self.verdict.moved + moved,
-            set_aside=self.verdict.set_aside + aside,
+            set_aside=self.verdict.set_aside + singles,
         )
 
     def examined(self) -> Examined | None:
@@ -202,6 +202,7 @@ class _Task:
                 self.noise,
                 self.config,
                 known,
+                _singles(taken_out),
                 learn,
             )
         uncertainty = learnt[-1] if learnt else None
@@ -268,6 +269,11 @@ class _Task:
         shared = association.shared_counts().todok()
         left = [link for link in self.links if shared[link.a, link.b] >= self.config.min_shared]
         return len(components(len(self.submaps), left)) == 1
+
+
+def _singles(taken_out: Sequence[Off]) -> int:
+    """How many landmarks do not fit, each by itself."""
+    return sum(off.singles for off in taken_out)
 
 
 def _cost_ratios(solution: Solution) -> Floats:

@@ -99,6 +99,7 @@ def examine(
     *,
     certain: bool,
     known: CovarianceModel | None = None,
+    taken_out: int = 0,
 ) -> Examination:
     """
     Examine a merge at its optimum.
@@ -106,7 +107,8 @@ def examine(
     `redundancy` is that of an estimated σ (inf: known). Without `certain` geometry (a rotation
     between sub-maps weakly determined, no convergence) an excess may be a wrong basin, and only
     the textbook test is believed. `known` is the model of the same sub-maps, fitted before the
-    worst of their landmarks were taken out.
+    worst of their landmarks were taken out: how many of these did not fit, each by itself, is
+    `taken_out`. What moved is no error of a map, and ids that contradict are wrong links.
 
     Raises
     ------
@@ -127,7 +129,7 @@ def examine(
     if not certain or count < MIN_CONTRASTS or _is_enough(plain, gaussian=gaussian):
         return _with_doubtful(plain, state) if state and certain else plain
     try:
-        found = _under_model(merge, state, plain.objects, known)
+        found = _under_model(merge, state, plain.objects, known, taken_out)
         return replace(found, textbook_tests=plain.textbook_tests, wrong_scale=plain.wrong_scale)
     except (DegenerateGeometry, np.linalg.LinAlgError):
         return plain  # so far off that no covariance describes it
@@ -188,12 +190,15 @@ def _under_model(
     textbook: Sensitivity | None,
     suspects: tuple[MovedObject, ...],
     known: CovarianceModel | None,
+    taken_out: int,
 ) -> Examination:
     data = contrasts(merge, MAX_CONTRASTS, members_of(suspects))
+    # As many as there are for the part of the tracks that is tested.
+    gone = taken_out * len(np.unique(data.tracks)) / len(merge.points)
     highest = largest_variances(data)
     fitted = _fit(data, highest, members_of(suspects), known)
     if textbook is None:
-        return _judged(fitted, np.inf)
+        return _judged(fitted, np.inf, gone)
     objects, state = suspects, _state(merge, data, textbook, fitted)
     for _ in range(MAX_REFITS):
         before, objects = objects, confirmed(state, merge.points, objects, fitted.model)
@@ -208,7 +213,7 @@ def _under_model(
     p_values = fitted.model.tails.p_value(tests.statistic, state.redundancy)
     tests = replace(tests, p_value=np.where(tests.testable, p_values, 1.0))
     return replace(
-        _judged(fitted, state.redundancy),
+        _judged(fitted, state.redundancy, gone),
         objects=objects,
         p_objects=p_objects(objects, fitted.model),
         tests=tests,
@@ -234,16 +239,19 @@ def _state(
     return replace(model_sensitivity(merge, data, fitted.weighing), follow=textbook.follow)
 
 
-def _judged(fitted: Fitted, redundancy: float) -> Examination:
+def _judged(fitted: Fitted, redundancy: float, gone: float = 0.0) -> Examination:
     """
     Believe the rest by its price, the number of bad landmarks and the worst of them.
 
-    And by what had to be believed of the maps for that, all of it together.
+    And by what had to be believed of the maps for that, all of it together. Landmarks that are
+    `gone`, since they did not fit either, are too far off like those that are aside now.
     """
     count, model = len(fitted.statistics), fitted.model
     p_values = model.tails.p_value(fitted.statistics, redundancy)
     bad = int((p_values < BAD_LEVEL).sum())
-    plausible = p_plausible(model.phi, model.omega / model.radius, len(fitted.aside), count)
+    plausible = p_plausible(
+        model.phi, model.omega / model.radius, len(fitted.aside) + gone, count + gone
+    )
     # Where too many are off, nothing is left that has a price.
     priced = plausible
     if fitted.dof > 0:

@@ -36,7 +36,7 @@ def largest_variances(data: Contrasts) -> Floats:
     return np.array([MAX_PHI, MAX_TAU_UNITS**2, radii**2])
 
 
-def p_plausible(phi: float, omega_radii: float, aside: int, count: int) -> float:
+def p_plausible(phi: float, omega_radii: float, aside: float, count: float) -> float:
     """
     Probability of errors as large as these, all of them together, of maps of real cameras.
 
