@@ -12,7 +12,7 @@ import pytest
 from gaussian_merges import merged, noise, scene
 
 from mapmerge_ros.association import associate
-from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, fuse, groups
+from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, fuse, groups, misfit
 from mapmerge_ros.fusion.associate import of_compressed
 from mapmerge_ros.fusion.component import merge_component
 from mapmerge_ros.fusion.contrasts import contrasts
@@ -302,6 +302,41 @@ def test_of_two_that_contradict_each_other_the_one_is_named_that_the_others_expl
     by_misfit = rivals(submaps, lambda slots: [{0: 3.4, 1: 1.9}[slot] for slot in slots])
     assert by_misfit.culprits().without == (0,)
     assert rivals(submaps, lambda slots: ()).culprits().without == (1,)
+
+
+@pytest.mark.parametrize('found', [(0.95, 0.5), (np.nan, 1.5), (np.inf, 1.2), ()])
+def test_rivals_that_fit_as_right_ones_do_or_cannot_be_asked_are_told_apart_by_what_is_left(
+    submaps, found
+):
+    search = rivals(submaps, lambda slots: [found[slot] for slot in slots if found])
+    assert search.culprits().without == (1,)
+
+
+def test_of_rivals_chance_is_as_large_as_their_landmarks_are_few():
+    """The larger ratio is believed and the smaller is not: that one fits worse."""
+    few, many = (
+        MapTest(k, ratio * (3 * count - 7), 3 * count - 7, count)
+        for k, ratio, count in ((0, 2.8, 10), (1, 2.7, 150))
+    )
+    assert few.ratio > many.ratio
+    assert few.is_believed
+    assert not many.is_believed
+    assert few.excess < 1.0 < many.excess
+
+
+def test_of_a_large_fleet_the_rivals_are_asked_wherever_the_sample_would_be(monkeypatch):
+    """A sample of 150 contrasts is about 15 of 20 maps; some others are asked."""
+    monkeypatch.setattr(misfit, 'MAX_CONTRASTS', 150)
+    rng = np.random.default_rng(0)
+    points, members, matrices = scene(rng, maps=20, landmarks=600, views=(2, 3))
+    errors = noise(rng, points, members, matrices)
+    plain = contrasts(merged(points, members, matrices, errors), 150)
+    outside = np.setdiff1d(np.arange(20), members.maps[plain.owners >= 0])[:3]
+    errors[members.of_map(int(outside[1]))] *= 3.0
+    tests = misfits(merged(points, members, matrices, errors), outside)
+    assert [test.k for test in tests] == outside.tolist()
+    assert min(test.landmarks for test in tests) >= 20
+    assert [test.is_believed for test in tests] == [True, False, True]
 
 
 def test_of_two_maps_none_is_the_worst():

@@ -222,7 +222,7 @@ class _Task:
                 tests = misfits(self._near_optimum(solution), slots)
         except (DegenerateGeometry, np.linalg.LinAlgError):
             return []
-        found = [test.ratio for test in tests if test]
+        found = [test.excess for test in tests if test]
         return found if len(found) == len(slots) else []
 
     def without_what_is_off(self, state: _State) -> _State | None:

@@ -126,7 +126,7 @@ class Search:
 
     def _likeliest(self, trials: Sequence[Trial]) -> Trial:
         """
-        Most left over; of those the one that fits the others worst, as far as they can tell.
+        Most left over; of those the one that fits the others worst, if worse than right ones do.
 
         What is left unexplained of real maps is more the more are left to contradict each other:
         where errors of the size that is claimed explain it, it decides, within chance. And then
@@ -137,7 +137,7 @@ class Search:
         best = min(largest, key=lambda trial: trial.unexplained)
         if len(largest) > 1 and not best.explains_all:
             misfits = self.misfits([self.group.index(x.without[0]) for x in largest])
-            if len(misfits):
+            if np.isfinite(misfits).all() and max(misfits, default=0.0) > 1.0:
                 return largest[int(np.argmax(misfits))]
         alike = [each for each in largest if each.unexplained <= best.unexplained + best.spread]
         return max(alike, key=lambda trial: trial.price_ratio)
