@@ -11,6 +11,7 @@ import scipy.stats
 from gaussian_merges import draw, merged, noise, scene
 
 from mapmerge_ros.distributions import chi2_tail
+from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion import honest
 from mapmerge_ros.fusion.contrasts import contrasts, matern
 from mapmerge_ros.fusion.covariance_model import COARSE_CONTRASTS, TEXTBOOK, fit_model, settled
@@ -139,6 +140,32 @@ def test_an_object_is_found_before_the_field_can_swallow_it():
         right += len(named) == 1 and len(np.intersect1d(named[0], moved)) >= 11
         assert sum(len(np.setdiff1d(each, moved)) for each in named) <= 2
     assert right >= 9
+
+
+@pytest.mark.parametrize('fails', [False, True])
+def test_what_moved_is_told_though_the_known_errors_are_not_believed(monkeypatch, fails):
+    """The geometry is not certain, or no covariance describes the merge: as without a model."""
+    rng = np.random.default_rng(6)
+    points, members, matrices = scene(rng, landmarks=120, views=(3, 4))
+    errors = np.sqrt(2.0) * noise(rng, points, members, matrices)
+    known = examine(merged(points, members, matrices, errors), np.inf, certain=True).model
+    assert not known.is_textbook
+    own = np.flatnonzero(members.maps == 2)
+    near = np.argsort(np.linalg.norm(points[members.tracks[own]] - points[0], axis=1))
+    errors[own[near[:12]]] += [2.0, 0.0, 2.5]
+    merge = merged(points, members, matrices, errors)
+
+    def failing(*_):
+        raise DegenerateGeometry('no definite covariance')
+
+    if fails:
+        monkeypatch.setattr(honest, '_under_model', failing)
+    expected, found = (
+        [each.members.tolist() for each in examine(merge, np.inf, certain=fails, known=x).objects]
+        for x in (None, known)
+    )
+    assert len(expected[0]) >= 11
+    assert found == expected
 
 
 def test_heavy_tails_are_found_and_their_p_values_mean_what_they_say():

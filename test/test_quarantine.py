@@ -12,14 +12,16 @@ import pytest
 from gaussian_merges import merged, noise, scene
 
 from mapmerge_ros.association import associate
-from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, fuse, groups, misfit
+from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, component, fuse, groups, misfit
 from mapmerge_ros.fusion.associate import of_compressed
 from mapmerge_ros.fusion.component import merge_component
+from mapmerge_ros.fusion.contradiction import _in_words
 from mapmerge_ros.fusion.contrasts import contrasts
 from mapmerge_ros.fusion.likelihood import weigh
 from mapmerge_ros.fusion.links import find_links
 from mapmerge_ros.fusion.misfit import MapTest, misfits, without_map, worst_map
 from mapmerge_ros.fusion.quarantine import Search, Trial
+from mapmerge_ros.fusion.refusal import Quarantine
 from mapmerge_ros.fusion.solution import Solution
 from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.warm import Warm
@@ -37,6 +39,12 @@ from mapmerge_ros.simulation.drones import Sensing
 @pytest.fixture(scope='module')
 def submaps() -> list[SubMap]:
     return list(simulate_fleet(FleetConfig(drones=6), 71).submaps(catalogue=False))
+
+
+@pytest.fixture(scope='module')
+def metric() -> list[SubMap]:
+    sensing = Sensing(gauge=Gauge.RIGID, prior=FramePrior(scale_std_ratio=0.003))
+    return list(simulate_fleet(FleetConfig(sensing=sensing), 70).submaps(catalogue=False))
 
 
 def bent(submap: SubMap, share: float) -> SubMap:
@@ -133,13 +141,11 @@ def test_the_global_frame_stays_when_its_anchor_is_in_quarantine(submaps):
         np.testing.assert_allclose(item.S_global_map.rotation, was.rotation, atol=0.02)
 
 
-def test_a_metric_map_of_another_scale_is_named():
-    sensing = Sensing(gauge=Gauge.RIGID, prior=FramePrior(scale_std_ratio=0.003))
-    submaps = list(simulate_fleet(FleetConfig(sensing=sensing), 70).submaps(catalogue=False))
-    wrong = replace(submaps[2], points=1.03 * submaps[2].points)
-    fusion = fuse(with_one(submaps, 2, wrong))
+def test_a_metric_map_of_another_scale_is_named(metric):
+    wrong = replace(metric[2], points=1.03 * metric[2].points)
+    fusion = fuse(with_one(metric, 2, wrong))
     assert [item.submap.map_id for item in fusion.quarantined] == [wrong.map_id]
-    assert not fuse(submaps).quarantined
+    assert not fuse(metric).quarantined
 
 
 def test_the_summary_says_why(submaps):
@@ -176,18 +182,73 @@ def test_of_what_is_not_believed_only_the_whole_is_held_and_only_while_culprits_
     assert solutions() == 0
 
 
+def merge_all(submaps, config, stopwatch):
+    association = of_compressed(submaps, associate(submaps).tracks)
+    links = find_links(submaps, association, config, Warm())
+    return merge_component(submaps, association, links, None, config, 1, stopwatch, Warm())
+
+
 def test_how_badly_a_map_fits_is_asked_in_the_time_of_the_tests(submaps):
     damaged = with_one(submaps, 3, bent(submaps[3], 0.1))
-    stopwatch, config = Stopwatch(), FusionConfig(unlock=False)
-    association = of_compressed(damaged, associate(damaged).tracks)
-    links = find_links(damaged, association, config, Warm())
-    merged, misfits = merge_component(
-        damaged, association, links, None, config, 1, stopwatch, Warm()
-    )
+    stopwatch = Stopwatch()
+    merged, misfits = merge_all(damaged, FusionConfig(unlock=False), stopwatch)
     assert not merged.component.verdict.accepted
     before = stopwatch['test']
     assert np.argmax(misfits(range(6))) == 3
     assert stopwatch['test'] > before
+
+
+def test_a_map_of_which_too_much_is_off_is_the_reason_not_the_price_of_all(submaps):
+    damaged = with_one(submaps, 3, bent(submaps[3], 0.1))
+    verdict = merge_all(damaged, FusionConfig(), Stopwatch())[0].component.verdict
+    assert not verdict.accepted
+    assert verdict.suspect == damaged[3].map_id
+    assert verdict.reason == f'more of {damaged[3].map_id} is off than can be left out'
+
+
+def test_of_two_maps_none_is_the_reason(submaps, monkeypatch):
+    asked = []
+
+    def everybody(taken_out, rows):
+        asked.append(len(rows))
+        return np.array([1, 0])
+
+    monkeypatch.setattr(component, 'too_much', everybody)
+    points = submaps[1].points.copy()
+    apart = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    points[np.argsort(apart)[:30], 2] += 0.1 * np.median(apart)
+    pair = [submaps[0], replace(submaps[1], points=points)]
+    verdict = merge_all(pair, FusionConfig(), Stopwatch())[0].component.verdict
+    assert asked == [2]
+    assert not verdict.accepted
+    assert verdict.reason.startswith('the merge costs')
+
+
+def test_a_wrong_scale_is_told_where_too_much_is_off_as_well(metric):
+    damaged = with_one(metric, 0, bent(metric[0], 0.05))
+    damaged[2] = replace(metric[2], points=1.03 * metric[2].points)
+    verdict = merge_all(damaged, FusionConfig(), Stopwatch())[0].component.verdict
+    assert not verdict.accepted
+    assert verdict.suspect == damaged[2].map_id
+    assert 'larger than the others have it' in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ('price_ratio', 'p_value', 'quoted'),
+    [(1.5, 1e-20, 'suspicion'), (5.0, 1e-3, 'suspicion'), (5.0, 1e-20, 'price')],
+)
+@pytest.mark.parametrize('suspicion', ['b alone differs', ''])
+def test_the_reason_is_what_convinced(submaps, price_ratio, p_value, quoted, suspicion):
+    """A price that is small, or there by chance, is none: then it is what was suspected."""
+    merged = Fake(fuse(submaps[:3]).components[0], np.zeros(0))
+    trial = Trial((3,), [((0, 1, 2), merged)], price_ratio, p_value, 0.0, 0.0, suspicion)
+    search = Search((0, 1, 2, 3), merged, lambda _: [], lambda _: True, lambda _: 0)
+    assert search._believes(trial) is (bool(suspicion) or quoted == 'price')
+    evidence = Quarantine(('a', 'c'), price_ratio, p_value, 0.1, 0.01)
+    words = _in_words(evidence, trial, merged)
+    is_suspected = bool(suspicion) and quoted == 'suspicion'
+    assert words.endswith(suspicion) == (is_suspected or not suspicion)
+    assert ('it would add' in words) is not is_suspected
 
 
 def test_many_culprits_take_few_merges(submaps):

@@ -228,14 +228,14 @@ class _Task:
     def without_what_is_off(self, state: _State) -> _State | None:
         """Merge again without it; None if nothing is, or too much for the rest to be believed."""
         examined, solution = state.examined(), state.solution
-        if examined is None:
+        if examined is None or state.verdict.suspect:
             return None
         before = max((int(off.objects.max()) for off in state.taken_out), default=0)
         off = find_off(examined, self.submaps, before)
         if off is None:
             return None
         if len(worst := too_much((*state.taken_out, off), solution.rows)):
-            return self._refused(state, self.submaps[int(worst[0])].map_id)
+            return self._refused(state, self.map_ids[int(worst[0])])
         association = unlocked(state.association, off)
         if not self._connected(association):
             return None
@@ -246,9 +246,11 @@ class _Task:
 
     def _refused(self, state: _State, suspect: str) -> _State:
         """Believe nothing of what is merged: too much of one sub-map is off."""
-        reason = state.verdict.reason or f'more of {suspect} is off than can be left out'
+        reason = f'more of {suspect} is off than can be left out'
+        if len(self.submaps) == 2:  # as much is off of the other
+            reason = state.verdict.reason or reason
         verdict = replace(state.verdict, accepted=False, reason=reason, suspect=suspect)
-        return replace(state, verified=Verified(verdict))
+        return replace(state, verified=replace(state.verified, verdict=verdict))
 
     @property
     def map_ids(self) -> list[str]:

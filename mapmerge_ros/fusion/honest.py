@@ -122,7 +122,8 @@ def examine(
     if not large:
         # A sub-map may count so little that of its landmarks only rounding is left.
         with suppress(np.linalg.LinAlgError):
-            state, plain, gaussian = _by_landmark(merge, redundancy, plain, known)
+            expected = known if certain else None
+            state, plain, gaussian = _by_landmark(merge, redundancy, plain, expected)
     count = len(merge.members) - len(merge.points)
     # Of a few landmarks nobody can say what law they follow.
     gaussian |= count < MANY_CONTRASTS and not plain.objects
@@ -132,7 +133,10 @@ def examine(
         found = _under_model(merge, state, plain.objects, known, taken_out)
         return replace(found, textbook_tests=plain.textbook_tests, wrong_scale=plain.wrong_scale)
     except (DegenerateGeometry, np.linalg.LinAlgError):
-        return plain  # so far off that no covariance describes it
+        # So far off that no covariance describes it. What moved may not have been looked for yet.
+        with suppress(np.linalg.LinAlgError):
+            return replace(plain, objects=_suspects(state, merge, plain)) if state else plain
+        return plain
 
 
 def _is_enough(plain: Examination, *, gaussian: bool) -> bool:
@@ -160,8 +164,17 @@ def _by_landmark(
     is_whole = count >= MANY_CONTRASTS and most <= MAX_CONTRASTS
     if known and not known.is_textbook and is_whole and not _is_enough(found, gaussian=gaussian):
         return state, found, gaussian
-    suspects = find_objects(state, merge.points, LEAST_STATISTIC * _usual(statistics))
+    suspects = _suspects(state, merge, found)
     return state, replace(found, objects=suspects), gaussian and not suspects
+
+
+def _suspects(state: Sensitivity, merge: Quadratic, plain: Examination) -> tuple[MovedObject, ...]:
+    """What looks moved by the textbook, if that has not been looked for yet."""
+    tests = plain.textbook_tests
+    if plain.objects or tests is None:
+        return plain.objects
+    usual = _usual(tests.statistic[tests.distinct])
+    return find_objects(state, merge.points, LEAST_STATISTIC * usual)
 
 
 def is_large(landmarks: Ints, tracks: int) -> bool:

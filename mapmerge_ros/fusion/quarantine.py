@@ -74,6 +74,13 @@ class Trial:
         return whole and self.unexplained <= self.spread
 
     @property
+    def costs_too_much(self) -> bool:
+        """Whether what they add is more than noise like that of the rest, and chance, would."""
+        count = len(self.without) + sum(len(group) for group, _ in self.parts)
+        by_chance = self.p_value * count > MAX_CHANCE * len(self.without)
+        return self.price_ratio >= MIN_RATIO and not by_chance
+
+    @property
     def main(self) -> Merged:
         """Largest part."""
         return self.parts[0][1]
@@ -178,9 +185,8 @@ class Search:
     def _believes(self, trial: Trial) -> bool:
         """Whether most are believed without the culprits, who cost more than chance may."""
         most = 2 * trial.size > len(self.group)
-        by_chance = trial.p_value * len(self.group) > MAX_CHANCE * len(trial.without)
         # who was suspected was so by a test that does not leave it to chance
-        wrong = bool(trial.suspicion) or (trial.price_ratio >= MIN_RATIO and not by_chance)
+        wrong = bool(trial.suspicion) or trial.costs_too_much
         accepted = trial.main.component.verdict.accepted
         return most and wrong and accepted and self.is_certain(trial.parts[0][0])
 
