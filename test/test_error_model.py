@@ -18,7 +18,8 @@ from mapmerge_ros.fusion.covariance_model import COARSE_CONTRASTS, TEXTBOOK, fit
 from mapmerge_ros.fusion.honest import MAX_CONTRASTS, _judged, examine
 from mapmerge_ros.fusion.likelihood import step, weigh
 from mapmerge_ros.fusion.local import local_tests, sensitivity
-from mapmerge_ros.fusion.plausible import MAX_OMEGA_RADII, p_plausible
+from mapmerge_ros.fusion.objects import MIN_MEMBERS
+from mapmerge_ros.fusion.plausible import MAX_OMEGA_RADII, largest_variances, p_plausible
 from mapmerge_ros.fusion.quadratic import Members
 from mapmerge_ros.fusion.tails import are_gaussian, fit_tails
 from mapmerge_ros.geometry import Gauge, generators, scene_radius
@@ -140,6 +141,25 @@ def test_an_object_is_found_before_the_field_can_swallow_it():
         right += len(named) == 1 and len(np.intersect1d(named[0], moved)) >= 11
         assert sum(len(np.setdiff1d(each, moved)) for each in named) <= 2
     assert right >= 9
+
+
+def test_what_moved_is_looked_for_among_all_tracks_where_a_sample_is_tested():
+    """710 contrasts, of which every second is tested: half of six landmarks would be no object."""
+    rng = np.random.default_rng(1)
+    points, members, matrices = scene(rng, maps=3, landmarks=355, views=(3, 3))
+    errors = np.sqrt(1.5) * noise(rng, points, members, matrices)
+    some = contrasts(merged(points, members, matrices, errors), 150)
+    known = fit_model(some, largest_variances(some), NOBODY).model
+    own = np.flatnonzero(members.maps == 1)
+    near = np.argsort(np.linalg.norm(points[members.tracks[own]] - points[0], axis=1))
+    moved = np.sort(own[near[:12:2]])
+    errors[moved] += [2.0, 0.0, 2.5]
+    merge = merged(points, members, matrices, errors)
+    assert len(members) - len(points) > MAX_CONTRASTS
+    tested = contrasts(merge, MAX_CONTRASTS).owners
+    assert np.isin(members.tracks[moved], tested).sum() < MIN_MEMBERS
+    found = examine(merge, np.inf, certain=True, known=known)
+    assert [each.members.tolist() for each in found.objects] == [moved.tolist()]
 
 
 @pytest.mark.parametrize('fails', [False, True])

@@ -12,7 +12,16 @@ import pytest
 from gaussian_merges import merged, noise, scene
 
 from mapmerge_ros.association import associate
-from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, component, fuse, groups, misfit
+from mapmerge_ros.fusion import (
+    FusionConfig,
+    FusionEngine,
+    State,
+    component,
+    fuse,
+    groups,
+    misfit,
+    verify,
+)
 from mapmerge_ros.fusion.associate import of_compressed
 from mapmerge_ros.fusion.component import merge_component
 from mapmerge_ros.fusion.contradiction import _in_words
@@ -20,7 +29,7 @@ from mapmerge_ros.fusion.contrasts import contrasts
 from mapmerge_ros.fusion.likelihood import weigh
 from mapmerge_ros.fusion.links import find_links
 from mapmerge_ros.fusion.misfit import MapTest, misfits, without_map, worst_map
-from mapmerge_ros.fusion.quarantine import Search, Trial
+from mapmerge_ros.fusion.quarantine import MIN_RATIO, Search, Trial
 from mapmerge_ros.fusion.refusal import Quarantine
 from mapmerge_ros.fusion.solution import Solution
 from mapmerge_ros.fusion.stopwatch import Stopwatch
@@ -144,7 +153,11 @@ def test_the_global_frame_stays_when_its_anchor_is_in_quarantine(submaps):
 def test_a_metric_map_of_another_scale_is_named(metric):
     wrong = replace(metric[2], points=1.03 * metric[2].points)
     fusion = fuse(with_one(metric, 2, wrong))
-    assert [item.submap.map_id for item in fusion.quarantined] == [wrong.map_id]
+    (item,) = fusion.quarantined
+    assert item.submap.map_id == wrong.map_id
+    # The price that is nearly nothing is not the reason.
+    assert item.quarantine.price_ratio < MIN_RATIO
+    assert f'and {wrong.map_id} is +3.34% larger than the others have it' in item.reason
     assert not fuse(metric).quarantined
 
 
@@ -251,6 +264,28 @@ def test_the_reason_is_what_convinced(submaps, price_ratio, p_value, quoted, sus
     assert ('it would add' in words) is not is_suspected
 
 
+def test_whether_one_map_is_wrong_is_asked_when_what_moved_is_out(monkeypatch):
+    """An object of one map, and the noise of another 2.5 times what it claims."""
+    submaps = list(simulate_fleet(FleetConfig(moved=1), 1).submaps(catalogue=False))
+    damaged, asked = with_one(submaps, 0, shaken(submaps[0], 2.5, 0)), []
+
+    def counted(merge):
+        asked.append(merge)
+        return worst_map(merge)
+
+    monkeypatch.setattr(verify, 'worst_map', counted)
+    merged, _ = merge_all(damaged, FusionConfig(), Stopwatch())
+    verdict = merged.component.verdict
+    assert not verdict.accepted
+    assert verdict.suspect == damaged[0].map_id
+    assert verdict.reason.startswith(f'{damaged[0].map_id} alone differs')
+    out = [change for change in merged.component.changes if not change.merged]
+    assert len(out) == verdict.moved >= 5
+    # Once, and of the rest: a landmark that two maps had is in no merge of the rest at all.
+    shared = np.bincount(np.concatenate(merged.component.association.tracks))
+    assert [len(merge.members) for merge in asked] == [shared[shared > 1].sum()]
+
+
 def test_many_culprits_take_few_merges(submaps):
     """Of thirty-two maps three are wrong: a number of merges that grows with the logarithm."""
     group, wrong, tried = tuple(range(32)), {3, 17, 29}, []
@@ -338,31 +373,39 @@ def test_a_map_of_few_landmarks_may_be_further_off_by_chance():
     assert not test(2.3, 100_000).is_believed
 
 
-def rivals(submaps, misfits):
-    """Search in a group of four: without the first or the second the others are believed."""
-    plain = fuse(submaps[:3]).components[0]
+def rivals(submaps, misfits, **verdict_of_all):
+    """Search in a group of four: without 2 or 5, which are slots 0 and 1, the others agree."""
+    plain, group = fuse(submaps[:3]).components[0], (2, 5, 7, 9)
 
     def merged_group(left):
-        both = {0, 1} <= set(left)
-        # What is left of real maps without the second, who has more in common, is less.
-        price = plain.verdict.dof * (9.0 if both else 3.0 + (1 in left))
+        both = {2, 5} <= set(left)
+        # What is left of real maps without 5, who has more in common, is less.
+        price = plain.verdict.dof * (9.0 if both else 3.0 + (5 in left))
         verdict = replace(plain.verdict, accepted=not both, a_tilde=price * plain.verdict.sigma**2)
+        verdict = replace(verdict, **verdict_of_all) if left == group else verdict
         component = replace(plain, map_ids=tuple(map(str, left)), verdict=verdict)
         return Fake(component, np.arange(len(left)) + 1.0)
 
     def merge_without(culprits):
-        left = tuple(k for k in range(4) if k not in culprits)
+        left = tuple(k for k in group if k not in culprits)
         return [(left, merged_group(left))]
 
-    whole = merged_group((0, 1, 2, 3))
-    return Search((0, 1, 2, 3), whole, merge_without, lambda part: True, lambda part: 0, misfits)
+    whole = merged_group(group)
+    return Search(group, whole, merge_without, lambda part: True, lambda part: 0, misfits)
 
 
 def test_of_two_that_contradict_each_other_the_one_is_named_that_the_others_explain_less(submaps):
     """Not the one without whom less is left to be explained: that has most in common."""
     by_misfit = rivals(submaps, lambda slots: [{0: 3.4, 1: 1.9}[slot] for slot in slots])
-    assert by_misfit.culprits().without == (0,)
-    assert rivals(submaps, lambda slots: ()).culprits().without == (1,)
+    assert by_misfit.culprits().without == (2,)
+    assert rivals(submaps, lambda slots: ()).culprits().without == (5,)
+
+
+def test_a_suspicion_is_told_of_the_suspect_and_of_nobody_else(submaps):
+    search = rivals(submaps, lambda slots: (), suspect='2', reason='2 alone differs')
+    told = {k: search._without((k,)).suspicion for k in search.group}
+    assert told == {2: '2 alone differs', 5: '', 7: '', 9: ''}
+    assert search._without((2, 7)).suspicion == ''
 
 
 @pytest.mark.parametrize('found', [(0.95, 0.5), (np.nan, 1.5), (np.inf, 1.2), ()])
@@ -370,7 +413,7 @@ def test_rivals_that_fit_as_right_ones_do_or_cannot_be_asked_are_told_apart_by_w
     submaps, found
 ):
     search = rivals(submaps, lambda slots: [found[slot] for slot in slots if found])
-    assert search.culprits().without == (1,)
+    assert search.culprits().without == (5,)
 
 
 def test_of_rivals_chance_is_as_large_as_their_landmarks_are_few():
