@@ -92,17 +92,21 @@ class Said:
     moved: bool
     first: str
     """The sub-map that is damaged, if any"""
+    included: bool
+    """Whether that one is in the map that comes out"""
     named: frozenset[str]
 
     @classmethod
     def by(cls, fusion: Fusion) -> Said:
         """What it says."""
+        first = fusion.alignments[0].submap.map_id
         return cls(
             merged=fusion.verdict.dof > 0,
             accepted=fusion.verdict.accepted,
             may_be_turned='a wrong place is not told' in fusion.verdict.reason,
             moved=fusion.verdict.moved > 0,
-            first=fusion.alignments[0].submap.map_id,
+            first=first,
+            included=bool(fusion.components) and first in fusion.components[0].map_ids,
             named=frozenset(item.submap.map_id for item in fusion.quarantined),
         )
 
@@ -115,7 +119,7 @@ def counted(what: str, every: Sequence[Said]) -> str:
     else:
         named = str(sum(each.first in each.named for each in merged))
         others = sum(bool(each.named - {each.first}) for each in merged)
-    accepted = sum(each.accepted and each.first not in each.named for each in merged)
+    accepted = sum(each.accepted and each.included for each in merged)
     turned = sum(each.may_be_turned for each in merged)
     moved = sum(each.moved for each in merged)
     return (

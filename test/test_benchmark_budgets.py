@@ -3,9 +3,14 @@
 """How the benchmark of budgets counts what merges say; real data, where it is there, once."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from ros_processes import SHIPPED
+
+from mapmerge_ros.fusion import FusionConfig, fuse
+from mapmerge_ros.io import read_submaps
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / 'shared' / 'data'
@@ -22,6 +27,7 @@ def said(**differences: object) -> Said:
         'may_be_turned': False,
         'moved': False,
         'first': 'a',
+        'included': True,
         'named': frozenset(),
     }
     return Said(**(usual | differences))  # type: ignore[arg-type]
@@ -29,8 +35,9 @@ def said(**differences: object) -> Said:
 
 EVERY = (
     said(),
-    said(named=frozenset('a')),
-    said(named=frozenset('ab')),
+    said(included=False, named=frozenset('a')),
+    said(included=False, named=frozenset('ab')),
+    said(included=False),  # neither named nor merged with the others
     said(named=frozenset('c'), moved=True),
     said(accepted=False, may_be_turned=True),
     said(merged=False),
@@ -39,11 +46,24 @@ EVERY = (
 
 def test_of_what_is_damaged_the_first_is_named_rightly() -> None:
     # merges, kept apart, accepted with it, it named, another named, may be turned, moved
-    assert counted('bent', EVERY) == '6 | 1 | 2 | 2 | 2 | 1 | 1'
+    assert counted('bent', EVERY) == '7 | 1 | 2 | 2 | 2 | 1 | 1'
 
 
 def test_where_nothing_is_wrong_whoever_is_named_is_named_wrongly() -> None:
-    assert counted('nothing', EVERY) == '6 | 1 | 2 | – | 3 | 1 | 1'
+    assert counted('nothing', EVERY) == '7 | 1 | 2 | – | 3 | 1 | 1'
+
+
+def test_whether_the_first_is_included_is_read_from_the_map_that_comes_out() -> None:
+    newest = {item.submap.map_id: item.submap for item in read_submaps(SHIPPED)}
+    submaps = [newest[name] for name in sorted(newest)]
+    together = Said.by(fuse(submaps))
+    assert together.accepted
+    assert together.included
+    submaps[0] = replace(submaps[0], id_space='of nobody else')
+    apart = Said.by(fuse(submaps, FusionConfig(match_descriptors=False)))
+    assert apart.accepted
+    assert not apart.named
+    assert not apart.included
 
 
 def test_rows_are_made_of_real_maps() -> None:

@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapmerge_ros.fusion import Fusion, FusionConfig, Kind, fuse, solution
+from mapmerge_ros.fusion import Fusion, FusionConfig, Kind, fuse, solution, verify
+from mapmerge_ros.fusion.honest import examine
 from mapmerge_ros.fusion.merge import Estimate
 from mapmerge_ros.fusion.search import search
 from mapmerge_ros.geometry import Similarity, align
@@ -206,6 +207,25 @@ def test_a_single_landmark_is_told_whether_it_is_taken_out_or_not(size, stays):
     moved = size * std * fusion.alignments[k].S_global_map.scale
     assert np.linalg.norm(change.displacement_global) == pytest.approx(moved, rel=0.5)
     assert change.p_value < 1e-3
+
+
+@pytest.mark.parametrize(('seed', 'singles'), [(1, 0), (3, 1)])
+def test_of_what_was_taken_out_singles_count_as_aside_and_objects_do_not(
+    seed, singles, monkeypatch
+):
+    counts = []
+
+    def counted(*args, taken_out, **settings):
+        counts.append(taken_out)
+        return examine(*args, taken_out=taken_out, **settings)
+
+    monkeypatch.setattr(verify, 'examine', counted)
+    fusion = fuse(moved_fleet(seed).submaps(catalogue=False))
+    out = [change.kind for change in fusion.changes if not change.merged]
+    assert out.count(Kind.MOVED) >= 5
+    assert out.count(Kind.DOUBTFUL) == singles
+    assert counts == [0] + [singles] * (len(counts) - 1)
+    assert len(counts) > 1
 
 
 def test_the_order_of_the_maps_changes_nothing():

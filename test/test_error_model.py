@@ -17,7 +17,6 @@ from mapmerge_ros.fusion.honest import MAX_CONTRASTS, _judged, examine
 from mapmerge_ros.fusion.likelihood import step, weigh
 from mapmerge_ros.fusion.local import local_tests, sensitivity
 from mapmerge_ros.fusion.plausible import MAX_OMEGA_RADII
-from mapmerge_ros.fusion.quadratic import Members
 from mapmerge_ros.fusion.tails import are_gaussian, fit_tails
 from mapmerge_ros.geometry import Gauge, generators, scene_radius
 
@@ -193,44 +192,6 @@ def test_an_excess_that_may_be_a_wrong_basin_is_left_to_the_textbook():
     found = examine(merge, np.inf, certain=False)
     assert found.model is None
     assert found.p_value == pytest.approx(scipy.stats.chi2.sf(merge.price, merge.dof))
-
-
-def without(points, members, matrices, errors, tracks):
-    """The same sub-maps with some landmarks unmatched: marginalised, each for itself."""
-    kept_tracks = np.setdiff1d(np.arange(len(points)), tracks)
-    kept = np.isin(members.tracks, kept_tracks)
-    left = []
-    for k, matrix in enumerate(matrices):
-        inside = np.repeat(kept[members.of_map(k)], 3)
-        across = matrix[np.ix_(inside, ~inside)]
-        own = matrix[np.ix_(~inside, ~inside)]
-        left.append(matrix[np.ix_(inside, inside)] - across @ np.linalg.solve(own, across.T))
-    counts = [int(kept[members.of_map(k)].sum()) for k in range(len(matrices))]
-    rest = Members(
-        members.maps[kept],
-        np.concatenate([np.arange(count) for count in counts]),
-        np.searchsorted(kept_tracks, members.tracks[kept]),
-    )
-    return merged(points[kept_tracks], rest, left, errors[kept])
-
-
-def test_who_is_left_is_judged_by_the_errors_of_all():
-    """Without the worst landmarks a fit sees thin tails, and takes the next worst for wrong."""
-    rng, afresh, judged = np.random.default_rng(10), 0, 0
-    for _ in range(4):
-        points, members, matrices = scene(rng, landmarks=100)
-        errors = noise(rng, points, members, matrices)
-        errors *= 1.0 / np.sqrt(rng.chisquare(3, len(members)) / 3.0)[:, None]
-        found = examine(merged(points, members, matrices, errors), np.inf, certain=True)
-        rest = without(points, members, matrices, errors, members.tracks[found.aside])
-        again = examine(rest, np.inf, certain=True)
-        known = examine(rest, np.inf, certain=True, known=found.model)
-        assert found.model is not None
-        assert known.model.tails == found.model.tails
-        assert known.p_value > 0.01
-        afresh += len(again.aside)
-        judged += len(known.aside)
-    assert judged < 0.5 * afresh
 
 
 def test_the_price_of_a_large_merge_is_that_of_its_own_errors():

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mapmerge_ros.distributions import chi2_quantile, product_tail
+from mapmerge_ros.fusion import FusionConfig
 from mapmerge_ros.fusion.plausible import (
     HONEST_ASIDE,
     HONEST_OMEGA_RADII,
@@ -19,8 +21,16 @@ from mapmerge_ros.fusion.plausible import (
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT.parent / 'shared' / 'data'
-REFUSED = 1e-3
-"""Below it Fisher's product with a price of p = 0.5 refuses, thrice tested: see `honest`."""
+REFUSED = 7.5e-4
+"""Below it Fisher's product with a price of p = 0.5, thrice the least of three tests, refuses."""
+
+
+@pytest.mark.parametrize(('price', 'refused'), [(0.5, REFUSED), (1.0, REFUSED / 2.0)])
+def test_the_limit_is_that_of_the_usual_level(price: float, refused: float) -> None:
+    """And so are the sums of squares that `plausible` and the documents tell."""
+    level = FusionConfig().significance
+    assert 3.0 * product_tail(price * refused) == pytest.approx(level, rel=0.01)
+    assert chi2_quantile(refused, 3) == pytest.approx({0.5: 16.9, 1.0: 18.3}[price], abs=0.05)
 
 
 def test_usual_errors_and_smaller_ones_are_plausible() -> None:

@@ -8,13 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gaussian_merges import merged, noise, scene
+from wrong_maps import bent, shaken, with_one
 
 from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, fuse
-from mapmerge_ros.fusion.contrasts import contrasts
-from mapmerge_ros.fusion.likelihood import weigh
-from mapmerge_ros.fusion.misfit import MapTest, misfits, without_map, worst_map
-from mapmerge_ros.fusion.quarantine import Search
+from mapmerge_ros.fusion.contradiction import _in_words
+from mapmerge_ros.fusion.quarantine import MIN_RATIO, Search, Trial
+from mapmerge_ros.fusion.refusal import Quarantine
 from mapmerge_ros.io.summary import summarise
 from mapmerge_ros.submap import SubMap
 
@@ -31,22 +30,10 @@ def submaps() -> list[SubMap]:
     return list(simulate_fleet(FleetConfig(drones=6), 71).submaps(catalogue=False))
 
 
-def bent(submap: SubMap, share: float) -> SubMap:
-    centred = submap.points - submap.points.mean(axis=0)
-    axes = np.linalg.svd(centred, full_matrices=False)[2]
-    along = centred @ axes[0]
-    raised = np.outer(share * along**2 / np.abs(along).max(), axes[2])
-    return replace(submap, points=submap.points + raised)
-
-
-def shaken(submap: SubMap, factor: float, seed: int) -> SubMap:
-    white = factor * submap.sigma * np.random.default_rng(seed).normal(size=submap.rank)
-    errors = np.linalg.lstsq(submap.triangle(), white, rcond=None)[0].reshape(-1, 3)
-    return replace(submap, points=submap.points + errors)
-
-
-def with_one(submaps, k, damaged):
-    return [damaged if at == k else submap for at, submap in enumerate(submaps)]
+@pytest.fixture(scope='module')
+def metric() -> list[SubMap]:
+    sensing = Sensing(gauge=Gauge.RIGID, prior=FramePrior(scale_std_ratio=0.003))
+    return list(simulate_fleet(FleetConfig(sensing=sensing), 70).submaps(catalogue=False))
 
 
 @pytest.mark.parametrize(('k', 'kind'), [(3, 'bent'), (0, 'shaken')])
@@ -125,13 +112,15 @@ def test_the_global_frame_stays_when_its_anchor_is_in_quarantine(submaps):
         np.testing.assert_allclose(item.S_global_map.rotation, was.rotation, atol=0.02)
 
 
-def test_a_metric_map_of_another_scale_is_named():
-    sensing = Sensing(gauge=Gauge.RIGID, prior=FramePrior(scale_std_ratio=0.003))
-    submaps = list(simulate_fleet(FleetConfig(sensing=sensing), 70).submaps(catalogue=False))
-    wrong = replace(submaps[2], points=1.03 * submaps[2].points)
-    fusion = fuse(with_one(submaps, 2, wrong))
-    assert [item.submap.map_id for item in fusion.quarantined] == [wrong.map_id]
-    assert not fuse(submaps).quarantined
+def test_a_metric_map_of_another_scale_is_named(metric):
+    wrong = replace(metric[2], points=1.03 * metric[2].points)
+    fusion = fuse(with_one(metric, 2, wrong))
+    (item,) = fusion.quarantined
+    assert item.submap.map_id == wrong.map_id
+    # The price that is nearly nothing is not the reason.
+    assert item.quarantine.price_ratio < MIN_RATIO
+    assert f'and {wrong.map_id} is +3.34% larger than the others have it' in item.reason
+    assert not fuse(metric).quarantined
 
 
 def test_the_summary_says_why(submaps):
@@ -140,6 +129,24 @@ def test_the_summary_says_why(submaps):
     evidence = {row['map_id']: row['quarantine'] for row in rows}
     assert evidence.pop(wrong.map_id)['contradicts']
     assert set(evidence.values()) == {None}
+
+
+@pytest.mark.parametrize(
+    ('price_ratio', 'p_value', 'quoted'),
+    [(1.5, 1e-20, 'suspicion'), (5.0, 1e-3, 'suspicion'), (5.0, 1e-20, 'price')],
+)
+@pytest.mark.parametrize('suspicion', ['b alone differs', ''])
+def test_the_reason_is_what_convinced(submaps, price_ratio, p_value, quoted, suspicion):
+    """A price that is small, or there by chance, is none: then it is what was suspected."""
+    merged = Fake(fuse(submaps[:3]).components[0], np.zeros(0))
+    trial = Trial((3,), [((0, 1, 2), merged)], price_ratio, p_value, 0.0, 0.0, suspicion)
+    search = Search((0, 1, 2, 3), merged, lambda _: [], lambda _: True, lambda _: 0)
+    assert search._believes(trial) is (bool(suspicion) or quoted == 'price')
+    evidence = Quarantine(('a', 'c'), price_ratio, p_value, 0.1, 0.01)
+    words = _in_words(evidence, trial, merged)
+    is_suspected = bool(suspicion) and quoted == 'suspicion'
+    assert words.endswith(suspicion) == (is_suspected or not suspicion)
+    assert ('it would add' in words) is not is_suspected
 
 
 def test_many_culprits_take_few_merges(submaps):
@@ -169,95 +176,48 @@ def test_many_culprits_take_few_merges(submaps):
 
 
 class Fake:
-    def __init__(self, component, cost_ratios, misfits=lambda slots: ()):
-        self.component, self.cost_ratios, self.misfits = component, cost_ratios, misfits
+    def __init__(self, component, cost_ratios):
+        self.component, self.cost_ratios = component, cost_ratios
 
 
-def test_contrasts_without_a_map_are_those_of_the_others():
-    """Price and freedom of the others do not depend on what the one that is left out says."""
-    rng = np.random.default_rng(5)
-    points, members, matrices = scene(rng, maps=4, landmarks=40, views=(2, 4))
-    errors = noise(rng, points, members, matrices)
-    disturbed = errors.copy()
-    part = members.of_map(2)
-    disturbed[part] += rng.normal(size=disturbed[part].shape)
-    prices = []
-    for own in (errors, disturbed):
-        data = contrasts(merged(points, members, matrices, own), 600)
-        rest = without_map(data, part)
-        prices.append(weigh(rest, np.array([1.0, 0.1, 0.1])).price(rest))
-        assert abs(rest.from_members[:, part]).sum() == 0.0
-        identity = (rest.from_members @ rest.from_members.T).toarray()
-        np.testing.assert_allclose(identity, np.eye(len(rest.tracks)), atol=1e-12)
-    assert prices[0] == pytest.approx(prices[1], rel=1e-6)
-    assert rest.dof == 3 * len(rest.tracks) - 14
-
-
-def test_a_map_that_is_noisier_than_the_others_is_the_worst():
-    ratios, found = [], []
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        points, members, matrices = scene(rng, maps=4, landmarks=70, views=(3, 4))
-        errors = noise(rng, points, members, matrices)
-        ratios.append(worst_map(merged(points, members, matrices, errors)).ratio)
-        errors[members.of_map(2)] *= 3.0
-        found.append(worst_map(merged(points, members, matrices, errors)))
-    assert max(ratios) < 1.3
-    assert {test.k for test in found} == {2}
-    assert not any(test.is_believed for test in found)
-
-
-def test_each_map_is_tested_by_the_errors_of_the_others():
-    rng = np.random.default_rng(1)
-    points, members, matrices = scene(rng, maps=4, landmarks=70, views=(3, 4))
-    errors = noise(rng, points, members, matrices)
-    errors[members.of_map(1)] *= 3.0
-    merge = merged(points, members, matrices, errors)
-    found = misfits(merge, [3, 1, 0])
-    assert [test.k for test in found] == [3, 1, 0]
-    assert np.argmax([test.ratio for test in found]) == 1
-    assert found[1] == worst_map(merge)
-
-
-def test_a_map_of_few_landmarks_may_be_further_off_by_chance():
-    def test(ratio, landmarks):
-        return MapTest(0, ratio * (3 * landmarks - 7), 3 * landmarks - 7, landmarks)
-
-    assert test(2.9, 10).is_believed
-    assert not test(2.9, 200).is_believed
-    assert test(2.2, 100_000).is_believed
-    assert not test(2.3, 100_000).is_believed
-
-
-def rivals(submaps, misfits):
-    """Search in a group of four: without the first or the second the others are believed."""
-    plain = fuse(submaps[:3]).components[0]
+def rivals(submaps, misfits, **verdict_of_all):
+    """Search in a group of four: without 2 or 5, which are slots 0 and 1, the others agree."""
+    plain, group = fuse(submaps[:3]).components[0], (2, 5, 7, 9)
 
     def merged_group(left):
-        both = {0, 1} <= set(left)
-        # What is left of real maps without the second, who has more in common, is less.
-        price = plain.verdict.dof * (9.0 if both else 3.0 + (1 in left))
+        both = {2, 5} <= set(left)
+        # What is left of real maps without 5, who has more in common, is less.
+        price = plain.verdict.dof * (9.0 if both else 3.0 + (5 in left))
         verdict = replace(plain.verdict, accepted=not both, a_tilde=price * plain.verdict.sigma**2)
+        verdict = replace(verdict, **verdict_of_all) if left == group else verdict
         component = replace(plain, map_ids=tuple(map(str, left)), verdict=verdict)
-        return Fake(component, np.arange(len(left)) + 1.0, misfits)
+        return Fake(component, np.arange(len(left)) + 1.0)
 
     def merge_without(culprits):
-        left = tuple(k for k in range(4) if k not in culprits)
+        left = tuple(k for k in group if k not in culprits)
         return [(left, merged_group(left))]
 
-    whole = merged_group((0, 1, 2, 3))
-    return Search((0, 1, 2, 3), whole, merge_without, lambda part: True, lambda part: 0)
+    whole = merged_group(group)
+    return Search(group, whole, merge_without, lambda part: True, lambda part: 0, misfits)
 
 
 def test_of_two_that_contradict_each_other_the_one_is_named_that_the_others_explain_less(submaps):
     """Not the one without whom less is left to be explained: that has most in common."""
     by_misfit = rivals(submaps, lambda slots: [{0: 3.4, 1: 1.9}[slot] for slot in slots])
-    assert by_misfit.culprits().without == (0,)
-    assert rivals(submaps, lambda slots: ()).culprits().without == (1,)
+    assert by_misfit.culprits().without == (2,)
+    assert rivals(submaps, lambda slots: ()).culprits().without == (5,)
 
 
-def test_of_two_maps_none_is_the_worst():
-    rng = np.random.default_rng(3)
-    points, members, matrices = scene(rng, maps=2, landmarks=70, views=(2, 2))
-    errors = noise(rng, points, members, matrices)
-    assert worst_map(merged(points, members, matrices, errors)) is None
+def test_a_suspicion_is_told_of_the_suspect_and_of_nobody_else(submaps):
+    search = rivals(submaps, lambda slots: (), suspect='2', reason='2 alone differs')
+    told = {k: search._without((k,)).suspicion for k in search.group}
+    assert told == {2: '2 alone differs', 5: '', 7: '', 9: ''}
+    assert search._without((2, 7)).suspicion == ''
+
+
+@pytest.mark.parametrize('found', [(0.95, 0.5), (np.nan, 1.5), (np.inf, 1.2), ()])
+def test_rivals_that_fit_as_right_ones_do_or_cannot_be_asked_are_told_apart_by_what_is_left(
+    submaps, found
+):
+    search = rivals(submaps, lambda slots: [found[slot] for slot in slots if found])
+    assert search.culprits().without == (5,)

@@ -80,6 +80,11 @@ class Off:
     def __len__(self) -> int:
         return len(self.maps)
 
+    @property
+    def singles(self) -> int:
+        """How many of them do not fit, each by itself."""
+        return int((self.objects == 0).sum())
+
 
 def describe(
     off: Off, submaps: Sequence[SubMap], positions_global: Floats, names: Names, *, merged: bool

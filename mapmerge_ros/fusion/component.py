@@ -19,7 +19,7 @@ from mapmerge_ros.fusion.covariance_model import CovarianceModel
 from mapmerge_ros.fusion.examination import Examination
 from mapmerge_ros.fusion.joint.covariance import Uncertainty
 from mapmerge_ros.fusion.joint.near_optimum import near_optimum
-from mapmerge_ros.fusion.misfit import misfits
+from mapmerge_ros.fusion.misfit import Misfits, misfits
 from mapmerge_ros.fusion.names import Names
 from mapmerge_ros.fusion.noise import Noise, pool_noise
 from mapmerge_ros.fusion.outcome import Verdict
@@ -47,12 +47,13 @@ def merge_component(
     revision: int,
     stopwatch: Stopwatch,
     warm: Warm,
-) -> Merged:
+) -> tuple[Merged, Misfits | None]:
     """
     Merge sub-maps that hang together (indices of `links` refer to them).
 
     What an examination finds to have moved, and landmarks that do not fit, are taken out, and
-    the rest is merged as if they had not been matched.
+    the rest is merged as if they had not been matched. Of a merge that is not believed, how
+    badly its sub-maps fit can be asked.
 
     Raises
     ------
@@ -99,12 +100,9 @@ def merge_component(
     )
     merged = replace(merged, component=component, factor=None)
     if state.verdict.accepted:
-        return merged
-    return replace(
-        merged,
-        cost_ratios=_cost_ratios(state.solution),
-        misfits=partial(task.misfits, state.solution),
-    )
+        return merged, None
+    merged = replace(merged, cost_ratios=_cost_ratios(state.solution))
+    return merged, partial(task.misfits, state.solution)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,12 +130,12 @@ class _State:
         """Verdict on what is merged, with the number of landmarks that are not."""
         if not self.taken_out:
             return self.verdict
-        objects = np.concatenate([off.objects for off in self.taken_out])
-        moved, aside = int((objects > 0).sum()), int((objects == 0).sum())
+        singles = _singles(self.taken_out)
+        moved = sum(map(len, self.taken_out)) - singles
         return replace(
             self.verdict,
             moved=self.verdict.moved + moved,
-            set_aside=self.verdict.set_aside + aside,
+            set_aside=self.verdict.set_aside + singles,
         )
 
     def examined(self) -> Examined | None:
@@ -204,6 +202,7 @@ class _Task:
                 self.noise,
                 self.config,
                 known,
+                _singles(taken_out),
                 learn,
             )
         uncertainty = learnt[-1] if learnt else None
@@ -219,23 +218,24 @@ class _Task:
     def misfits(self, solution: Solution, slots: Sequence[int]) -> list[float]:
         """How badly each of some sub-maps fits the others; empty where these cannot tell."""
         try:
-            tests = misfits(self._near_optimum(solution), slots)
+            with self.stopwatch.measure('test'):
+                tests = misfits(self._near_optimum(solution), slots)
         except (DegenerateGeometry, np.linalg.LinAlgError):
             return []
-        found = [test.ratio for test in tests if test]
+        found = [test.excess for test in tests if test]
         return found if len(found) == len(slots) else []
 
     def without_what_is_off(self, state: _State) -> _State | None:
         """Merge again without it; None if nothing is, or too much for the rest to be believed."""
         examined, solution = state.examined(), state.solution
-        if examined is None:
+        if examined is None or state.verdict.suspect:
             return None
         before = max((int(off.objects.max()) for off in state.taken_out), default=0)
         off = find_off(examined, self.submaps, before)
         if off is None:
             return None
         if len(worst := too_much((*state.taken_out, off), solution.rows)):
-            return self._refused(state, self.submaps[int(worst[0])].map_id)
+            return self._refused(state, self.map_ids[int(worst[0])])
         association = unlocked(state.association, off)
         if not self._connected(association):
             return None
@@ -246,9 +246,11 @@ class _Task:
 
     def _refused(self, state: _State, suspect: str) -> _State:
         """Believe nothing of what is merged: too much of one sub-map is off."""
-        reason = state.verdict.reason or f'more of {suspect} is off than can be left out'
+        reason = f'more of {suspect} is off than can be left out'
+        if len(self.submaps) == 2:  # as much is off of the other
+            reason = state.verdict.reason or reason
         verdict = replace(state.verdict, accepted=False, reason=reason, suspect=suspect)
-        return replace(state, verified=Verified(verdict))
+        return replace(state, verified=replace(state.verified, verdict=verdict))
 
     @property
     def map_ids(self) -> list[str]:
@@ -269,6 +271,11 @@ class _Task:
         shared = association.shared_counts().todok()
         left = [link for link in self.links if shared[link.a, link.b] >= self.config.min_shared]
         return len(components(len(self.submaps), left)) == 1
+
+
+def _singles(taken_out: Sequence[Off]) -> int:
+    """How many landmarks do not fit, each by itself."""
+    return sum(off.singles for off in taken_out)
 
 
 def _cost_ratios(solution: Solution) -> Floats:

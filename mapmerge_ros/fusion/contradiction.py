@@ -12,7 +12,7 @@ from mapmerge_ros.arrays import Floats
 from mapmerge_ros.errors import DegenerateGeometry
 from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.outgoing import Merged
-from mapmerge_ros.fusion.quarantine import MIN_RATIO, Trial
+from mapmerge_ros.fusion.quarantine import Trial
 from mapmerge_ros.fusion.refusal import Quarantine, Refusal, listed
 from mapmerge_ros.fusion.wrong_ids import MIRROR
 from mapmerge_ros.geometry import Gauge, align_robustly, scene_radius
@@ -94,7 +94,8 @@ def _in_words(evidence: Quarantine, trial: Trial, merged: Merged) -> str:
         f'{whose} would add {evidence.price_ratio:.3g} times what their noise explains '
         f'(p {p_value})'
     )
-    suspected = trial.suspicion and evidence.price_ratio < MIN_RATIO
+    # What convinced the search: a price that is small, or there by chance, did not.
+    suspected = trial.suspicion and not trial.costs_too_much
     return (
         f'quarantined: it contradicts {listed(evidence.contradicts)}; half of its landmarks are '
         f'more than {evidence.distance:.3g} off ({evidence.distance_ratio:.2%} of the scene). The '

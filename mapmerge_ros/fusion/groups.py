@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from mapmerge_ros.fusion.associate import Association
 from mapmerge_ros.fusion.component import merge_component
 from mapmerge_ros.fusion.config import FusionConfig
 from mapmerge_ros.fusion.contradiction import refusals
+from mapmerge_ros.fusion.misfit import Misfits
 from mapmerge_ros.fusion.outgoing import Merged
 from mapmerge_ros.fusion.overlap import Link, components
 from mapmerge_ros.fusion.quarantine import Group, Parts, Search
@@ -24,6 +26,9 @@ from mapmerge_ros.fusion.stopwatch import Stopwatch
 from mapmerge_ros.fusion.warm import Warm
 from mapmerge_ros.geometry import Similarity
 from mapmerge_ros.submap import SubMap
+
+Attempt: TypeAlias = tuple[Merged, Misfits | None]
+"""A merge and, if it is not believed, how badly its sub-maps fit"""
 
 FAILURES = (MapMergeError, np.linalg.LinAlgError, ArithmeticError)
 """
@@ -53,19 +58,29 @@ def merge_groups(problem: Problem) -> tuple[list[tuple[Group, Merged]], list[Ref
     merged: list[tuple[Group, Merged]] = []
     refused: list[Refusal] = []
     for group in components(len(problem.submaps), problem.links):
-        parts, without = _merge_or_isolate(group, problem)
+        believed, without = _merge_rightly(group, problem)
+        merged += believed
         refused += without
-        for part, whole in parts:
-            believed, contradicting = _without_wrong_maps(part, whole, problem)
-            merged += believed
-            refused += contradicting
     merged.sort(key=lambda part: (-len(part[0]), part[0]))
+    return merged, refused
+
+
+def _merge_rightly(
+    group: Group, problem: Problem
+) -> tuple[list[tuple[Group, Merged]], list[Refusal]]:
+    """Merge a group without what breaks it or is wrong, and forget how each part was merged."""
+    merged: list[tuple[Group, Merged]] = []
+    parts, refused = _merge_or_isolate(group, problem)
+    for part, (whole, misfits) in parts:
+        believed, contradicting = _without_wrong_maps(part, whole, misfits, problem)
+        merged += believed
+        refused += contradicting
     return merged, refused
 
 
 def _merge_or_isolate(
     group: Group, problem: Problem
-) -> tuple[list[tuple[Group, Merged]], list[Refusal]]:
+) -> tuple[list[tuple[Group, Attempt]], list[Refusal]]:
     """Merge a group; if that fails, without sub-maps that are broken or that break it."""
     try:
         return [(group, _merge(group, problem))], []
@@ -85,7 +100,7 @@ def _merge_or_isolate(
 
 
 def _without_wrong_maps(
-    group: Group, whole: Merged, problem: Problem
+    group: Group, whole: Merged, misfits: Misfits | None, problem: Problem
 ) -> tuple[Parts, list[Refusal]]:
     """
     Leave out what is wrong as a whole, where that is certain.
@@ -93,12 +108,15 @@ def _without_wrong_maps(
     Two sub-maps that disagree stay refused together, nobody can tell which is wrong. So does a
     merge whose geometry may be in a wrong basin.
     """
-    if whole.component.verdict.accepted or len(group) < 3 or not problem.config.unlock:
+    if misfits is None or len(group) < 3 or not problem.config.unlock:
         return [(group, whole)], []
 
     def merge_without(culprits: Group) -> Parts:
         try:
-            return [(part, _merge(part, problem)) for part in _without(group, culprits, problem)]
+            # How badly anybody fits is asked of the whole only: nothing of a trial is held for it.
+            return [
+                (part, _merge(part, problem)[0]) for part in _without(group, culprits, problem)
+            ]
         except FAILURES:
             return []
 
@@ -108,7 +126,8 @@ def _without_wrong_maps(
     def contradictions(part: Group) -> int:
         return sum(len(link.contradicting) for link in _within(part, problem.links))
 
-    trial = Search(group, whole, merge_without, certain, contradictions).culprits()
+    search = Search(group, whole, merge_without, certain, contradictions, misfits)
+    trial = search.culprits()
     if trial is None:
         return [(group, whole)], []
     return trial.parts, refusals(trial, problem.submaps, problem.association)
@@ -129,7 +148,7 @@ def _works(group: Group, problem: Problem) -> bool:
     return True
 
 
-def _merge(group: Group, problem: Problem) -> Merged:
+def _merge(group: Group, problem: Problem) -> Attempt:
     members = [problem.submaps[k] for k in group]
     return merge_component(
         members,

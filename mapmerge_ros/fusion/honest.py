@@ -99,6 +99,7 @@ def examine(
     *,
     certain: bool,
     known: CovarianceModel | None = None,
+    taken_out: int = 0,
 ) -> Examination:
     """
     Examine a merge at its optimum.
@@ -106,7 +107,8 @@ def examine(
     `redundancy` is that of an estimated σ (inf: known). Without `certain` geometry (a rotation
     between sub-maps weakly determined, no convergence) an excess may be a wrong basin, and only
     the textbook test is believed. `known` is the model of the same sub-maps, fitted before the
-    worst of their landmarks were taken out.
+    worst of their landmarks were taken out: how many of these did not fit, each by itself, is
+    `taken_out`. What moved is no error of a map, and ids that contradict are wrong links.
 
     Raises
     ------
@@ -120,17 +122,21 @@ def examine(
     if not large:
         # A sub-map may count so little that of its landmarks only rounding is left.
         with suppress(np.linalg.LinAlgError):
-            state, plain, gaussian = _by_landmark(merge, redundancy, plain, known)
+            expected = known if certain else None
+            state, plain, gaussian = _by_landmark(merge, redundancy, plain, expected)
     count = len(merge.members) - len(merge.points)
     # Of a few landmarks nobody can say what law they follow.
     gaussian |= count < MANY_CONTRASTS and not plain.objects
     if not certain or count < MIN_CONTRASTS or _is_enough(plain, gaussian=gaussian):
         return _with_doubtful(plain, state) if state and certain else plain
     try:
-        found = _under_model(merge, state, plain.objects, known)
+        found = _under_model(merge, state, plain.objects, known, taken_out)
         return replace(found, textbook_tests=plain.textbook_tests, wrong_scale=plain.wrong_scale)
     except (DegenerateGeometry, np.linalg.LinAlgError):
-        return plain  # so far off that no covariance describes it
+        # So far off that no covariance describes it. What moved may not have been looked for yet.
+        with suppress(np.linalg.LinAlgError):
+            return replace(plain, objects=_suspects(state, merge, plain)) if state else plain
+        return plain
 
 
 def _is_enough(plain: Examination, *, gaussian: bool) -> bool:
@@ -158,8 +164,17 @@ def _by_landmark(
     is_whole = count >= MANY_CONTRASTS and most <= MAX_CONTRASTS
     if known and not known.is_textbook and is_whole and not _is_enough(found, gaussian=gaussian):
         return state, found, gaussian
-    suspects = find_objects(state, merge.points, LEAST_STATISTIC * _usual(statistics))
+    suspects = _suspects(state, merge, found)
     return state, replace(found, objects=suspects), gaussian and not suspects
+
+
+def _suspects(state: Sensitivity, merge: Quadratic, plain: Examination) -> tuple[MovedObject, ...]:
+    """What looks moved by the textbook, if that has not been looked for yet."""
+    tests = plain.textbook_tests
+    if plain.objects or tests is None:
+        return plain.objects
+    usual = _usual(tests.statistic[tests.distinct])
+    return find_objects(state, merge.points, LEAST_STATISTIC * usual)
 
 
 def is_large(landmarks: Ints, tracks: int) -> bool:
@@ -188,12 +203,15 @@ def _under_model(
     textbook: Sensitivity | None,
     suspects: tuple[MovedObject, ...],
     known: CovarianceModel | None,
+    taken_out: int,
 ) -> Examination:
     data = contrasts(merge, MAX_CONTRASTS, members_of(suspects))
+    # As many as there are for the part of the tracks that is tested.
+    gone = taken_out * len(np.unique(data.tracks)) / len(merge.points)
     highest = largest_variances(data)
     fitted = _fit(data, highest, members_of(suspects), known)
     if textbook is None:
-        return _judged(fitted, np.inf)
+        return _judged(fitted, np.inf, gone)
     objects, state = suspects, _state(merge, data, textbook, fitted)
     for _ in range(MAX_REFITS):
         before, objects = objects, confirmed(state, merge.points, objects, fitted.model)
@@ -208,7 +226,7 @@ def _under_model(
     p_values = fitted.model.tails.p_value(tests.statistic, state.redundancy)
     tests = replace(tests, p_value=np.where(tests.testable, p_values, 1.0))
     return replace(
-        _judged(fitted, state.redundancy),
+        _judged(fitted, state.redundancy, gone),
         objects=objects,
         p_objects=p_objects(objects, fitted.model),
         tests=tests,
@@ -234,16 +252,19 @@ def _state(
     return replace(model_sensitivity(merge, data, fitted.weighing), follow=textbook.follow)
 
 
-def _judged(fitted: Fitted, redundancy: float) -> Examination:
+def _judged(fitted: Fitted, redundancy: float, gone: float = 0.0) -> Examination:
     """
     Believe the rest by its price, the number of bad landmarks and the worst of them.
 
-    And by what had to be believed of the maps for that, all of it together.
+    And by what had to be believed of the maps for that, all of it together. Landmarks that are
+    `gone`, since they did not fit either, are too far off like those that are aside now.
     """
     count, model = len(fitted.statistics), fitted.model
     p_values = model.tails.p_value(fitted.statistics, redundancy)
     bad = int((p_values < BAD_LEVEL).sum())
-    plausible = p_plausible(model.phi, model.omega / model.radius, len(fitted.aside), count)
+    plausible = p_plausible(
+        model.phi, model.omega / model.radius, len(fitted.aside) + gone, count + gone
+    )
     # Where too many are off, nothing is left that has a price.
     priced = plausible
     if fitted.dof > 0:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,8 +39,6 @@ class Merged:
     """(7, 7) each, see `MapAlignment`"""
     cost_ratios: Floats = field(default_factory=lambda: np.zeros(0))
     """(maps,) cost of each by coordinate, px², where the merge is not believed"""
-    misfits: Callable[[Sequence[int]], Sequence[float]] = lambda slots: ()
-    """How badly each of some sub-maps fits the others; empty where nobody can tell"""
     factor: Factor | None = None
     """Of the Gauss-Newton matrix at the optimum, for the next merge: see `Uncertainty`"""
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmerge_ros.distributions import chi2_tail
+from mapmerge_ros.fusion.misfit import Misfits
 from mapmerge_ros.fusion.outgoing import Merged
 
 Group = tuple[int, ...]
@@ -73,6 +74,13 @@ class Trial:
         return whole and self.unexplained <= self.spread
 
     @property
+    def costs_too_much(self) -> bool:
+        """Whether what they add is more than noise like that of the rest, and chance, would."""
+        count = len(self.without) + sum(len(group) for group, _ in self.parts)
+        by_chance = self.p_value * count > MAX_CHANCE * len(self.without)
+        return self.price_ratio >= MIN_RATIO and not by_chance
+
+    @property
     def main(self) -> Merged:
         """Largest part."""
         return self.parts[0][1]
@@ -96,6 +104,8 @@ class Search:
     """Whether the geometry of sub-maps is: else a refusal may be about a wrong basin"""
     contradictions: Callable[[Group], int]
     """Landmarks that were parted before sub-maps were merged, since pairs of them contradict"""
+    misfits: Misfits = lambda slots: ()
+    """Of the whole group, while the search goes on"""
 
     def culprits(self) -> Trial | None:
         """Fewest sub-maps without which most of the others are believed; None: nobody can tell."""
@@ -123,7 +133,7 @@ class Search:
 
     def _likeliest(self, trials: Sequence[Trial]) -> Trial:
         """
-        Most left over; of those the one that fits the others worst, as far as they can tell.
+        Most left over; of those the one that fits the others worst, if worse than right ones do.
 
         What is left unexplained of real maps is more the more are left to contradict each other:
         where errors of the size that is claimed explain it, it decides, within chance. And then
@@ -133,8 +143,8 @@ class Search:
         largest = [trial for trial in trials if trial.size == size]
         best = min(largest, key=lambda trial: trial.unexplained)
         if len(largest) > 1 and not best.explains_all:
-            misfits = self.whole.misfits([self.group.index(x.without[0]) for x in largest])
-            if len(misfits):
+            misfits = self.misfits([self.group.index(x.without[0]) for x in largest])
+            if np.isfinite(misfits).all() and max(misfits, default=0.0) > 1.0:
                 return largest[int(np.argmax(misfits))]
         alike = [each for each in largest if each.unexplained <= best.unexplained + best.spread]
         return max(alike, key=lambda trial: trial.price_ratio)
@@ -175,9 +185,8 @@ class Search:
     def _believes(self, trial: Trial) -> bool:
         """Whether most are believed without the culprits, who cost more than chance may."""
         most = 2 * trial.size > len(self.group)
-        by_chance = trial.p_value * len(self.group) > MAX_CHANCE * len(trial.without)
         # who was suspected was so by a test that does not leave it to chance
-        wrong = bool(trial.suspicion) or (trial.price_ratio >= MIN_RATIO and not by_chance)
+        wrong = bool(trial.suspicion) or trial.costs_too_much
         accepted = trial.main.component.verdict.accepted
         return most and wrong and accepted and self.is_certain(trial.parts[0][0])
 

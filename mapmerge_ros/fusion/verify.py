@@ -83,6 +83,7 @@ def verify_merge(
     noise: Noise,
     config: FusionConfig,
     known: CovarianceModel | None = None,
+    taken_out: int = 0,
     learn: Callable[[Uncertainty], None] | None = None,
 ) -> Verified:
     """
@@ -91,8 +92,9 @@ def verify_merge(
     `reduced` is the cost of the shared landmarks, as merged. What the textbook accepts
     stays accepted, with its own p-value, unless its landmarks are not Gaussian; what moved
     together is refused as long as it is merged. `known` are the errors of these sub-maps, if
-    something has been taken out of their merge already. `learn` is told what is known of
-    landmarks and frames, where all of the inverse was needed.
+    something has been taken out of their merge already; `taken_out` single landmarks that do not
+    fit are among it. `learn` is told what is known of landmarks and frames, where all of the
+    inverse was needed.
     """
     textbook = verify(estimate.cost, dof, noise, config)
     if dof <= 0:
@@ -105,8 +107,8 @@ def verify_merge(
     certain = estimate.converged and not loose
     state = reduced.evaluate(estimate.points)
     merge = near_optimum(reduced, state, gauge, noise.sigma, learn)
-    found = examine(merge, redundancy, certain=certain, known=known)
-    verdict = _judged(textbook, found, config)
+    found = examine(merge, redundancy, certain=certain, known=known, taken_out=taken_out)
+    verdict = _judged(textbook, found, config, taken_out)
     if loose and verdict.reason:
         verdict = replace(verdict, reason=f'{verdict.reason}; {_may_be_turned(loose, map_ids)}')
     return Verified(verdict, found, certain)
@@ -143,14 +145,16 @@ def unless_one_is_wrong(
     return replace(verdict, accepted=False, reason=f'{reason} explain', suspect=suspect)
 
 
-def _judged(textbook: Verdict, found: Examination, config: FusionConfig) -> Verdict:
+def _judged(
+    textbook: Verdict, found: Examination, config: FusionConfig, taken_out: int
+) -> Verdict:
     model, moved = found.model, sum(len(each.members) for each in found.objects)
     if textbook.accepted and not moved and (model is None or model.is_textbook):
         return textbook
     if model is None:
         return replace(textbook, moved=moved)
     p_value = min(found.p_value, found.p_objects)  # as long as they are merged like all else
-    accepted = p_value >= config.significance and not moved
+    accepted, aside = p_value >= config.significance and not moved, len(found.aside)
     errors = ErrorModel(
         model.phi,
         model.tau / model.radius,
@@ -163,9 +167,9 @@ def _judged(textbook: Verdict, found: Examination, config: FusionConfig) -> Verd
         textbook,
         p_value=p_value,
         accepted=accepted,
-        reason='' if accepted else _why(textbook, p_value, moved, len(found.aside), errors),
+        reason='' if accepted else _why(textbook, p_value, moved, aside + taken_out, errors),
         errors=errors,
-        set_aside=len(found.aside),
+        set_aside=aside,
         moved=moved,
     )
 
