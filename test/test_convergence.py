@@ -80,3 +80,9 @@ def test_nearer_takes_more_steps(fleets):
 def test_what_is_no_convergence_is_refused(value):
     with pytest.raises(InvalidValue, match='convergence'):
         FusionConfig(convergence=value)
+
+
+def test_a_step_that_is_rounding_leaves_nothing():
+    with np.errstate(all='raise'):
+        assert joint._left([3.0, -1e-16]) == 0.0
+        assert joint._left([0.0]) == 0.0

@@ -172,10 +172,12 @@ def minimise(
 
 def _left(promises: list[float]) -> float:
     """Decrease that is still to be had, at the slower rate of the last two steps."""
+    last = promises[-1]
+    if last <= 0.0:
+        return 0.0  # rounding
     rates = np.array(promises[1:]) / np.array(promises[:-1])
     rates[:1] = FIRST_RATE * np.sqrt(rates[:1])
-    rate = min(1.0, float(rates[-2:].max(initial=0.0))) if len(rates) else 1.0
-    return promises[-1] * rate / LEAST_PROMISED
+    return last / LEAST_PROMISED * min(1.0, float(rates[-2:].max())) if len(rates) else last
 
 
 def _is_outdated(promises: list[float], enough: float, matrix: _Matrix, allowed: int) -> bool:
