@@ -145,17 +145,16 @@ def _beside(found: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
     ratios = {
         'observations': bundle['observation_bytes'] / 1e3,
         'ratio': bundle['cpu_s'] / row['merge'],
-        'near_ratio': bundle['near_share'] * bundle['cpu_s'] / row['merge'],
         'nearly': bundle['nearly_s'],
         'memory_ratio': bundle['growth_mb'] / row['memory'],
     }
     if bundle['converged']:
+        ratios['near_ratio'] = bundle['near_share'] * ratios['ratio']
         ratios['rmse_ratio'] = row['rmse'] / bundle['rmse_m']
         ratios['procrustes_ratio'] = found['procrustes']['rmse_m'] / bundle['rmse_m']
     else:
         ratios['bundle'] = f'{bundle["cpu_s"]:.0f}, not converged'
         ratios['ratio'] = f'more than {ratios["ratio"]:.0f}'
-        del ratios['near_ratio']
     return ratios
 
 

@@ -46,7 +46,7 @@ def minimised(cost, points, gauge, config, way, monkeypatch):
 def stds_apart(cost, optimum, points, gauge):
     """How far landmarks are from the optimum, in the direction in which that is most."""
     state = cost.evaluate(optimum)
-    dof = sum(len(root.c) for root in cost.roots) - optimum.size + int(gauge)
+    dof = cost.residual_count - optimum.size + int(gauge)
     difference = (align(optimum, points, gauge=gauge).S_target_source.apply(points)) - optimum
     squared = difference.ravel() @ matrix_of(cost, state) @ difference.ravel()
     return float(np.sqrt(squared / (state.cost / dof)))

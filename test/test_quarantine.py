@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from wrong_maps import bent, shaken, with_one
+from damaged_maps import bent, metric_drones, shaken, six_drones, with_one
 
 from mapmerge_ros.fusion import FusionConfig, FusionEngine, State, fuse
 from mapmerge_ros.fusion.contradiction import _in_words
@@ -19,21 +19,15 @@ from mapmerge_ros.submap import SubMap
 
 pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres: pip install pycolmap')
 
-from mapmerge_ros.bundle.bundle import FramePrior
-from mapmerge_ros.geometry import Gauge
-from mapmerge_ros.simulation import FleetConfig, simulate_fleet
-from mapmerge_ros.simulation.drones import Sensing
-
 
 @pytest.fixture(scope='module')
 def submaps() -> list[SubMap]:
-    return list(simulate_fleet(FleetConfig(drones=6), 71).submaps(catalogue=False))
+    return six_drones()
 
 
 @pytest.fixture(scope='module')
 def metric() -> list[SubMap]:
-    sensing = Sensing(gauge=Gauge.RIGID, prior=FramePrior(scale_std_ratio=0.003))
-    return list(simulate_fleet(FleetConfig(sensing=sensing), 70).submaps(catalogue=False))
+    return metric_drones()
 
 
 @pytest.mark.parametrize(('k', 'kind'), [(3, 'bent'), (0, 'shaken')])

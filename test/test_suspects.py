@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from wrong_maps import bent, shaken, with_one
+from damaged_maps import bent, metric_drones, shaken, six_drones, with_one
 
 from mapmerge_ros.association import associate
 from mapmerge_ros.fusion import FusionConfig, component, fuse, groups, verify
@@ -25,21 +25,17 @@ from mapmerge_ros.submap import SubMap
 
 pytest.importorskip('pycolmap', reason='simulated maps are bundled by Ceres: pip install pycolmap')
 
-from mapmerge_ros.bundle.bundle import FramePrior
-from mapmerge_ros.geometry import Gauge
 from mapmerge_ros.simulation import FleetConfig, simulate_fleet
-from mapmerge_ros.simulation.drones import Sensing
 
 
 @pytest.fixture(scope='module')
 def submaps() -> list[SubMap]:
-    return list(simulate_fleet(FleetConfig(drones=6), 71).submaps(catalogue=False))
+    return six_drones()
 
 
 @pytest.fixture(scope='module')
 def metric() -> list[SubMap]:
-    sensing = Sensing(gauge=Gauge.RIGID, prior=FramePrior(scale_std_ratio=0.003))
-    return list(simulate_fleet(FleetConfig(sensing=sensing), 70).submaps(catalogue=False))
+    return metric_drones()
 
 
 def solutions():

@@ -79,7 +79,7 @@ def align_pairs(
         again = _sampled(here, there, gauges[[k]])
         left = _distances(here, there, Segments.of_lengths([len(here)]), again)
         if again.determined[0] and np.median(left) < MUCH_BETTER * fit[k]:
-            each = each.where(np.arange(len(segments)) != k, again.S_target_source)
+            each = each.at(np.array([k]), again.S_target_source)
             determined[k] = True
     return Alignments(each, determined)
 

@@ -129,14 +129,6 @@ class Similarities:
         moved += self.translations[owners]
         return moved
 
-    def where(self, chosen: Mask, others: Similarities) -> Similarities:
-        """Return these where chosen (n,), and the others elsewhere."""
-        return Similarities(
-            np.where(chosen, self.scales, others.scales),
-            np.where(chosen[:, None, None], self.rotations, others.rotations),
-            np.where(chosen[:, None], self.translations, others.translations),
-        )
-
     def at(self, places: Ints, others: Similarities) -> Similarities:
         """Return these with the others (m,) at some places (m,)."""
         scales, rotations, translations = (

@@ -139,8 +139,8 @@ class JointCost:
         return int(self.tracks.max()) + 1
 
     @property
-    def rows(self) -> int:
-        """Residuals of all maps."""
+    def residual_count(self) -> int:
+        """Of all maps; private landmarks that are at their best have none."""
         return sum(len(root.c) for root in self.roots)
 
     def reduced(self) -> JointCost:

@@ -147,7 +147,7 @@ def minimise(
 
     """
     state, rounding = cost.evaluate(points), cost.rounding
-    dof = cost.rows - points.size + int(gauge)
+    dof = cost.residual_count - points.size + int(gauge)
     matrix = _Matrix(solver=carried)
     history, promises = [state.cost], list[float]()
     for iteration in range(1, config.max_iterations + 1):

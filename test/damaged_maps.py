@@ -1,6 +1,6 @@
 # Copyright 2026 mapmerge_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Sub-maps that are wrong as a whole, one of a fleet."""
+"""Fleets of simulated drones, and sub-maps that are wrong as a whole, one of a fleet."""
 
 from __future__ import annotations
 
@@ -8,7 +8,21 @@ from dataclasses import replace
 
 import numpy as np
 
+from mapmerge_ros.bundle.bundle import FramePrior
+from mapmerge_ros.geometry import Gauge
+from mapmerge_ros.simulation import FleetConfig, simulate_fleet
+from mapmerge_ros.simulation.drones import Sensing
 from mapmerge_ros.submap import SubMap
+
+
+def six_drones() -> list[SubMap]:
+    return list(simulate_fleet(FleetConfig(drones=6), 71).submaps(catalogue=False))
+
+
+def metric_drones() -> list[SubMap]:
+    """Four whose scale is known to 0.3 per cent."""
+    sensing = Sensing(gauge=Gauge.RIGID, prior=FramePrior(scale_std_ratio=0.003))
+    return list(simulate_fleet(FleetConfig(sensing=sensing), 70).submaps(catalogue=False))
 
 
 def bent(submap: SubMap, share: float) -> SubMap:
