@@ -64,15 +64,11 @@ def warn(text: str) -> None:
 
 def progress(items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
     """Items with a progress bar on stderr, which only a terminal gets to see."""
+    if not sys.stderr.isatty():
+        yield from items  # rich 13, though disabled, ends with an empty line
+        return
     console = Console(file=sys.stderr)
-    yield from track(
-        items,
-        description,
-        total=total,
-        console=console,
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    )
+    yield from track(items, description, total=total, console=console, transient=True)
 
 
 @contextmanager

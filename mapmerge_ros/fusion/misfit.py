@@ -156,13 +156,13 @@ def without_map(data: Contrasts, part: slice) -> Contrasts:
     axis = axis / np.where(norms > 0.0, norms, 1.0)[owners]
     every = np.arange(len(axis))
     axes: scipy.sparse.csr_array = scipy.sparse.csr_array((axis, (every, owners)))
-    reflection = scipy.sparse.csr_array(scipy.sparse.eye_array(len(axis)) - 2.0 * (axes @ axes.T))
+    reflection = _diagonal(np.ones(len(axis))) - 2.0 * (axes @ axes.T)
     rows = np.setdiff1d(every, lasts[lengths > 0.0])
     chosen = reflection[rows]
     spread = scipy.sparse.kron(chosen, np.eye(3), format='csr')
     keep = np.ones(data.from_members.shape[1])
     keep[part] = 0.0
-    helmert = (chosen @ data.from_members @ scipy.sparse.diags_array(keep)).tocsr()
+    helmert = chosen @ data.from_members @ _diagonal(keep)
     helmert.data[np.abs(helmert.data) < 1e-12] = 0.0
     helmert.eliminate_zeros()
     owned = np.where((keep > 0.0) & np.isin(data.owners, data.tracks[rows]), data.owners, -1)
@@ -177,6 +177,12 @@ def without_map(data: Contrasts, part: slice) -> Contrasts:
         frames=_basis(spread @ data.frames),
         pairs=same_member_pairs(helmert),
     )
+
+
+def _diagonal(values: Floats) -> scipy.sparse.csr_array:
+    """Diagonal matrix; SciPy 1.11 makes none that is an array."""
+    every = np.arange(len(values))
+    return scipy.sparse.csr_array((values, (every, every)))
 
 
 def _alone(merge: Quadratic, data: Contrasts, k: int) -> MapTest | None:
@@ -235,6 +241,6 @@ def _statistic(information: Floats, score: Floats, gauge: int) -> float:
 
 def _basis(columns: Floats) -> Floats:
     """Orthonormal basis of what some columns span."""
-    left, sizes, _ = scipy.linalg.svd(columns, full_matrices=False)
+    left, sizes, _ = np.linalg.svd(columns, full_matrices=False)  # takes none, too
     basis: Floats = left[:, sizes > 1e-9 * sizes.max(initial=0.0)]
     return basis
